@@ -1,0 +1,81 @@
+//! The perspective camera.
+
+use glam::{Vec2, Vec3};
+
+use super::Transform;
+
+/// A pinhole camera. In camera space x points right, y up, z forward (left-handed, as in pbrt).
+#[derive(Clone, Debug)]
+pub struct Camera {
+    /// Camera space to world; no scale.
+    pub to_world: Transform,
+    /// Full opening angle in radians across the *shorter* side of the picture, in (0, π).
+    pub fov: f32,
+}
+
+/// A primary ray.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CameraRay {
+    /// The pinhole, in world space.
+    pub origin: Vec3,
+    /// Unit direction into the scene.
+    pub direction: Vec3,
+}
+
+impl Default for Camera {
+    fn default() -> Self {
+        Self { to_world: Transform::IDENTITY, fov: std::f32::consts::FRAC_PI_2 }
+    }
+}
+
+impl Camera {
+    /// The ray through `position`, in pixels from the upper left corner (centres at half integers), of a `width` × `height` picture.
+    /// The camera's transform must be fixed (see [`super::Scene::at`]).
+    #[must_use]
+    pub fn ray(&self, position: Vec2, size: [u32; 2]) -> CameraRay {
+        let to_world = self.to_world.fixed();
+        let size = Vec2::new(size[0] as f32, size[1] as f32);
+        let scale = (0.5 * self.fov).tan() * 2.0 / size.min_element();
+        let at = (position - 0.5 * size) * scale;
+        let direction = to_world.transform_vector3(Vec3::new(at.x, -at.y, 1.0));
+        CameraRay { origin: to_world.translation.into(), direction: direction.normalize() }
+    }
+
+    /// The pixel position that a world point projects to, or `None` at and behind the pinhole. Inverse of [`Camera::ray`].
+    #[must_use]
+    pub fn project(&self, point: Vec3, size: [u32; 2]) -> Option<Vec2> {
+        let local = self.to_world.fixed().inverse().transform_point3(point);
+        let size = Vec2::new(size[0] as f32, size[1] as f32);
+        let scale = (0.5 * self.fov).tan() * 2.0 / size.min_element();
+        let position = Vec2::new(local.x, -local.y) / (local.z * scale) + 0.5 * size;
+        (local.z > 0.0 && position.is_finite()).then_some(position)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::{Affine3A, Quat};
+
+    #[test]
+    fn project_inverts_ray() {
+        let to_world = Affine3A::from_rotation_translation(
+            Quat::from_rotation_y(0.7),
+            Vec3::new(1.0, 2.0, 3.0),
+        );
+        let camera = Camera { to_world: Transform::Fixed(to_world), fov: 0.6 };
+        for p in [Vec2::new(0.5, 0.5), Vec2::new(31.5, 7.25), Vec2::new(63.9, 0.1)] {
+            let ray = camera.ray(p, [64, 48]);
+            let back = camera.project(ray.origin + 5.0 * ray.direction, [64, 48]).unwrap();
+            assert!((back - p).length() < 1e-3, "{p} -> {back}");
+            assert_eq!(camera.project(ray.origin - ray.direction, [64, 48]), None);
+        }
+    }
+
+    #[test]
+    fn fov_spans_the_shorter_side() {
+        let camera = Camera { to_world: Transform::IDENTITY, fov: std::f32::consts::FRAC_PI_2 };
+        let top = camera.ray(Vec2::new(40.0, 0.0), [80, 20]).direction;
+        assert!((top.y / top.z - 1.0).abs() < 1e-6, "{top}");
+    }
+}
