@@ -1,1 +1,4 @@
-//! (to come)
+//! Surfaces: how they scatter.
+
+pub mod bsdf;
+pub mod material;

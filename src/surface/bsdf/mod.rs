@@ -1,0 +1,455 @@
+//! How a point of a surface scatters light: a few lobes, each with its value, density, sample and inverse.
+//!
+//! Directions are unit vectors in the local shading frame (normal +z) and point away from the surface; `wo` is where the light is looked at
+//! from, `wi` where it comes from. Radiance is transported: light refracted into a medium of η times the index leaves with 1/η² of its value.
+//!
+//! | symbol | meaning |
+//! |---|---|
+//! | value | f(o, i) |cos θ_i|; for a delta lobe its weight times its probability |
+//! | p(i, ℓ) | density of choosing lobe ℓ *and* direction i, per solid angle of i: "joint" |
+//! | p(i) | Σ p(i, ℓ) over the lobes that are not deltas: "marginal" |
+//!
+//! A material's lobes are numbered from 0, at most 6, in an order that never depends on its parameters: paths store lobe numbers. One word
+//! chooses the lobe, two floats its direction; a lobe's direction map is invertible ([`Bsdf::invert`]).
+//!
+//! Both sides: opaque surfaces reflect on the side of `wo`. At o_z = 0 or i_z = 0 everything is zero. Surfaces with α < 10⁻³ are deltas (as in pbrt-v4).
+
+mod conductor;
+mod fresnel;
+mod ggx;
+mod lambert;
+
+use glam::{Vec2, Vec3};
+
+use crate::math::rng::unit_float;
+use conductor::Conductor;
+use ggx::Ggx;
+use lambert::{Diffuse, DiffuseTransmission};
+
+/// A material evaluated at a point: up to 6 lobes.
+#[derive(Clone, Copy, Debug)]
+pub struct Bsdf {
+    kind: Kind,
+}
+
+/// What light does at a pair of directions.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Evaluation {
+    /// f(o, i) |cos θ_i|, per channel, in sr⁻¹.
+    pub value: Vec3,
+    /// Per solid angle of `wi`.
+    pub pdf: f32,
+}
+
+impl Evaluation {
+    /// Nothing is scattered and nothing sampled.
+    pub const ZERO: Self = Self { value: Vec3::ZERO, pdf: 0.0 };
+}
+
+/// A sampled direction.
+#[derive(Clone, Copy, Debug)]
+pub struct BsdfSample {
+    /// Where the light comes from.
+    pub wi: Vec3,
+    /// f |cos θ_i| of all lobes that are not deltas; for a delta its share of the light times `pdf`.
+    pub value: Vec3,
+    /// Marginal density per solid angle; for a delta its probability. Positive.
+    pub pdf: f32,
+    /// The lobe that was chosen.
+    pub lobe: u8,
+    /// Whether the direction was the only one of its lobe: no light sampling can find it.
+    pub delta: bool,
+    /// Whether the light crosses the surface.
+    pub transmission: bool,
+    /// Index of refraction at `wi` over that at `wo`; 1 unless refracted.
+    pub eta: f32,
+}
+
+/// What a family of lobes answers. Lobe sets are bit masks, so that one lobe and all lobes are the same code.
+trait Lobes {
+    /// Number of lobes.
+    fn count(&self) -> u32;
+    /// Whether the lobe is a delta.
+    fn is_delta(&self, lobe: u32) -> bool;
+    /// Whether no light leaves in any direction.
+    fn is_black(&self) -> bool;
+    /// Probability of choosing the lobe; they sum to 1, and any lobe with a value has one.
+    fn probability(&self, lobe: u32, wo: Vec3) -> f32;
+    /// Sums over those of `lobes` that are not deltas; the density is joint.
+    fn evaluate(&self, wo: Vec3, wi: Vec3, lobes: u32) -> Evaluation;
+    /// The direction map of a lobe that is not a delta; `None` where it leaves the lobe's hemisphere.
+    fn direction(&self, lobe: u32, wo: Vec3, u: Vec2) -> Option<Vec3>;
+    /// Inverse of [`Lobes::direction`] for a `wi` with a positive density.
+    fn invert(&self, lobe: u32, wo: Vec3, wi: Vec3) -> Option<Vec2>;
+    /// The direction of a delta lobe.
+    fn delta(&self, _lobe: u32, _wo: Vec3) -> Option<DeltaSample> {
+        None
+    }
+    /// Index of refraction at `wi` over that at `wo` of a lobe that is not a delta.
+    fn eta(&self, _lobe: u32, _wo: Vec3) -> f32 {
+        1.0
+    }
+    /// Diffuse and specular colour.
+    fn albedo(&self) -> Vec3;
+    /// Smallest α.
+    fn roughness(&self) -> f32;
+}
+
+/// A direction of a delta lobe.
+struct DeltaSample {
+    wi: Vec3,
+    value: Vec3,
+    /// Of the lobe.
+    pdf: f32,
+    eta: f32,
+}
+
+/// All lobes of [`Lobes::evaluate`].
+const ALL: u32 = u32::MAX;
+
+/// Whether `lobe` is in the set `lobes`.
+#[inline]
+fn select(lobes: u32, lobe: u32) -> bool {
+    lobes >> lobe & 1 != 0
+}
+
+/// Both directions mirrored in z where `wo` is behind the surface.
+#[inline]
+fn mirror_to_front(wo: Vec3, wi: Vec3) -> (Vec3, Vec3) {
+    let side = 1.0_f32.copysign(wo.z);
+    (Vec3::new(wo.x, wo.y, wo.z * side), Vec3::new(wi.x, wi.y, wi.z * side))
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Kind {
+    One(Part),
+    Mix(Mix),
+}
+
+/// One material's lobes.
+#[derive(Clone, Copy, Debug)]
+enum Part {
+    Diffuse(Diffuse),
+    DiffuseTransmission(DiffuseTransmission),
+    Conductor(Conductor),
+}
+
+macro_rules! each_part {
+    ($part:expr, $lobes:ident => $result:expr) => {
+        match $part {
+            Part::Diffuse($lobes) => $result,
+            Part::DiffuseTransmission($lobes) => $result,
+            Part::Conductor($lobes) => $result,
+        }
+    };
+}
+
+macro_rules! each {
+    ($bsdf:expr, $lobes:ident => $result:expr) => {
+        match &$bsdf.kind {
+            Kind::One(part) => each_part!(part, $lobes => $result),
+            Kind::Mix($lobes) => $result,
+        }
+    };
+}
+
+/// The weighted union of two materials' lobes; the second's follow the first's.
+#[derive(Clone, Copy, Debug)]
+struct Mix {
+    parts: [Part; 2],
+    /// Of the values; they sum to 1.
+    weights: [f32; 2],
+    /// Of choosing a part: its weight, unless the other is black.
+    probabilities: [f32; 2],
+}
+
+impl Mix {
+    fn new(parts: [Part; 2], amount: f32) -> Self {
+        let amount = amount.clamp(0.0, 1.0);
+        let weights = [1.0 - amount, amount];
+        let black = parts.map(|part| each_part!(part, lobes => lobes.is_black()));
+        let probabilities = match black {
+            [true, false] if amount > 0.0 => [0.0, 1.0],
+            [false, true] if amount < 1.0 => [1.0, 0.0],
+            _ => weights,
+        };
+        Self { parts, weights, probabilities }
+    }
+
+    /// Which part a lobe belongs to, and its number there.
+    #[inline]
+    fn part_of(&self, lobe: u32) -> (usize, u32) {
+        let first = self.parts[0].count();
+        if lobe < first { (0, lobe) } else { (1, lobe - first) }
+    }
+}
+
+impl Part {
+    #[inline]
+    fn count(&self) -> u32 {
+        each_part!(self, lobes => lobes.count())
+    }
+}
+
+impl Lobes for Mix {
+    fn count(&self) -> u32 {
+        self.parts[0].count() + self.parts[1].count()
+    }
+
+    fn is_delta(&self, lobe: u32) -> bool {
+        let (part, lobe) = self.part_of(lobe);
+        each_part!(&self.parts[part], lobes => lobes.is_delta(lobe))
+    }
+
+    fn is_black(&self) -> bool {
+        (0..2).all(|i| {
+            self.weights[i] == 0.0 || each_part!(&self.parts[i], lobes => lobes.is_black())
+        })
+    }
+
+    fn probability(&self, lobe: u32, wo: Vec3) -> f32 {
+        let (part, lobe) = self.part_of(lobe);
+        self.probabilities[part] * each_part!(&self.parts[part], l => l.probability(lobe, wo))
+    }
+
+    fn evaluate(&self, wo: Vec3, wi: Vec3, lobes: u32) -> Evaluation {
+        let mut sum = Evaluation::ZERO;
+        let masks = [lobes, lobes >> self.parts[0].count()];
+        for i in 0..2 {
+            // The first part must not see the second's bits, nor compute anything for an empty set.
+            let mask = masks[i] & ((1 << self.parts[i].count()) - 1);
+            if mask != 0 && self.weights[i] > 0.0 {
+                let part = each_part!(&self.parts[i], l => l.evaluate(wo, wi, mask));
+                sum.value += self.weights[i] * part.value;
+                sum.pdf += self.probabilities[i] * part.pdf;
+            }
+        }
+        sum
+    }
+
+    fn direction(&self, lobe: u32, wo: Vec3, u: Vec2) -> Option<Vec3> {
+        let (part, lobe) = self.part_of(lobe);
+        each_part!(&self.parts[part], lobes => lobes.direction(lobe, wo, u))
+    }
+
+    fn invert(&self, lobe: u32, wo: Vec3, wi: Vec3) -> Option<Vec2> {
+        let (part, lobe) = self.part_of(lobe);
+        each_part!(&self.parts[part], lobes => lobes.invert(lobe, wo, wi))
+    }
+
+    fn delta(&self, lobe: u32, wo: Vec3) -> Option<DeltaSample> {
+        let (part, lobe) = self.part_of(lobe);
+        let sample = each_part!(&self.parts[part], lobes => lobes.delta(lobe, wo))?;
+        Some(DeltaSample {
+            value: self.weights[part] * sample.value,
+            pdf: self.probabilities[part] * sample.pdf,
+            ..sample
+        })
+    }
+
+    fn eta(&self, lobe: u32, wo: Vec3) -> f32 {
+        let (part, lobe) = self.part_of(lobe);
+        each_part!(&self.parts[part], lobes => lobes.eta(lobe, wo))
+    }
+
+    fn albedo(&self) -> Vec3 {
+        (0..2).map(|i| self.weights[i] * each_part!(&self.parts[i], lobes => lobes.albedo())).sum()
+    }
+
+    fn roughness(&self) -> f32 {
+        let roughness = |i: usize| each_part!(&self.parts[i], lobes => lobes.roughness());
+        match self.weights {
+            [_, 0.0] => roughness(0),
+            [0.0, _] => roughness(1),
+            _ => roughness(0).min(roughness(1)),
+        }
+    }
+}
+
+/// The lobe that a word chooses. All 32 bits count: a lobe of probability 10⁻⁶ is chosen that often.
+#[inline]
+fn choose_lobe<L: Lobes>(lobes: &L, wo: Vec3, word: u32) -> Option<u32> {
+    let count = lobes.count();
+    if count == 1 {
+        return Some(0);
+    }
+    let u = f64::from(word) * (1.0 / 4_294_967_296.0);
+    let mut below = 0.0;
+    let mut last = None;
+    for lobe in 0..count {
+        let p = lobes.probability(lobe, wo);
+        if p > 0.0 {
+            below += f64::from(p);
+            last = Some(lobe);
+            if u < below {
+                break;
+            }
+        }
+    }
+    last
+}
+
+#[inline]
+fn sample_lobes<L: Lobes>(lobes: &L, wo: Vec3, words: [u32; 4]) -> Option<BsdfSample> {
+    let lobe = choose_lobe(lobes, wo, words[0])?;
+    if lobes.is_delta(lobe) {
+        let DeltaSample { wi, value, pdf, eta } = lobes.delta(lobe, wo)?;
+        let transmission = wo.z * wi.z < 0.0;
+        let lobe = lobe as u8;
+        return (pdf > 0.0).then_some(BsdfSample {
+            wi,
+            value,
+            pdf,
+            lobe,
+            delta: true,
+            transmission,
+            eta,
+        });
+    }
+    let wi = lobes.direction(lobe, wo, Vec2::new(unit_float(words[1]), unit_float(words[2])))?;
+    let Evaluation { value, pdf } = lobes.evaluate(wo, wi, ALL);
+    (pdf > 0.0).then(|| BsdfSample {
+        wi,
+        value,
+        pdf,
+        lobe: lobe as u8,
+        delta: false,
+        transmission: wo.z * wi.z < 0.0,
+        eta: lobes.eta(lobe, wo),
+    })
+}
+
+impl Bsdf {
+    #[inline]
+    fn one(part: Part) -> Self {
+        Self { kind: Kind::One(part) }
+    }
+
+    /// Lambert reflection with albedo `reflectance` in [0, 1].
+    #[inline]
+    #[must_use]
+    pub fn diffuse(reflectance: Vec3) -> Self {
+        Self::one(Part::Diffuse(Diffuse { reflectance }))
+    }
+
+    /// Lambert reflection (lobe 0) and transmission (lobe 1); per channel the albedos sum to at most 1.
+    #[inline]
+    #[must_use]
+    pub fn diffuse_transmission(reflectance: Vec3, transmittance: Vec3) -> Self {
+        Self::one(Part::DiffuseTransmission(DiffuseTransmission::new(reflectance, transmittance)))
+    }
+
+    /// A metal with index of refraction η + i k; a mirror where both `alpha` are below 10⁻³.
+    #[inline]
+    #[must_use]
+    pub fn conductor(eta: Vec3, k: Vec3, alpha: Vec2) -> Self {
+        Self::one(Part::Conductor(Conductor { eta, k, surface: Ggx::new(alpha) }))
+    }
+
+    /// A metal with reflectance `color` at normal incidence: η = 1, k = 2 √r/√(1 − r).
+    #[inline]
+    #[must_use]
+    pub fn metal(color: Vec3, alpha: Vec2) -> Self {
+        Self::one(Part::Conductor(Conductor::from_reflectance(color, Ggx::new(alpha))))
+    }
+
+    /// `1 − amount` of the first and `amount` of the second one's light. `None` where either is itself a mix.
+    #[must_use]
+    pub fn mix(first: &Self, second: &Self, amount: f32) -> Option<Self> {
+        match (first.kind, second.kind) {
+            (Kind::One(first), Kind::One(second)) => {
+                Some(Self { kind: Kind::Mix(Mix::new([first, second], amount)) })
+            }
+            _ => None,
+        }
+    }
+
+    /// Number of lobes, 1 to 6.
+    #[inline]
+    #[must_use]
+    pub fn lobe_count(&self) -> u32 {
+        each!(self, lobes => lobes.count())
+    }
+
+    /// Whether a lobe scatters into one direction only.
+    #[inline]
+    #[must_use]
+    pub fn is_delta(&self, lobe: u32) -> bool {
+        each!(self, lobes => lobes.is_delta(lobe))
+    }
+
+    /// Whether any lobe can be met by light sampling.
+    #[inline]
+    #[must_use]
+    pub fn has_non_delta(&self) -> bool {
+        each!(self, lobes => (0..lobes.count()).any(|lobe| !lobes.is_delta(lobe)))
+    }
+
+    /// Whether no light leaves in any direction: neither light sampling nor scattering can contribute.
+    #[inline]
+    #[must_use]
+    pub fn is_black(&self) -> bool {
+        each!(self, lobes => lobes.is_black())
+    }
+
+    /// A direction. `words[0]` chooses the lobe with all of its bits, `words[1]` and `words[2]` the direction (as
+    /// [`unit_float`]).
+    ///
+    /// Value and density of a sample that is not a delta are totals over all lobes that are not. `None` is a sample of value 0: a
+    /// microfacet reflected below the horizon, o_z = 0, or no lobe has light.
+    #[inline]
+    #[must_use]
+    pub fn sample(&self, wo: Vec3, words: [u32; 4]) -> Option<BsdfSample> {
+        if wo.z == 0.0 {
+            return None;
+        }
+        each!(self, lobes => sample_lobes(lobes, wo, words))
+    }
+
+    /// All lobes that are not deltas, with the marginal density.
+    #[inline]
+    #[must_use]
+    pub fn evaluate(&self, wo: Vec3, wi: Vec3) -> Evaluation {
+        each!(self, lobes => lobes.evaluate(wo, wi, ALL))
+    }
+
+    /// One lobe, with its joint density (the lobe's probability times its own); zero for deltas. The sum over lobes is
+    /// [`Bsdf::evaluate`].
+    #[inline]
+    #[must_use]
+    pub fn evaluate_lobe(&self, lobe: u32, wo: Vec3, wi: Vec3) -> Evaluation {
+        debug_assert!(lobe < 32);
+        each!(self, lobes => lobes.evaluate(wo, wi, 1 << lobe))
+    }
+
+    /// The floats from which a lobe's direction map makes `wi`; `None` where it never does, and for deltas.
+    #[inline]
+    #[must_use]
+    pub fn invert(&self, lobe: u32, wo: Vec3, wi: Vec3) -> Option<Vec2> {
+        each!(self, lobes => {
+            let reachable = lobe < lobes.count() && lobes.evaluate(wo, wi, 1 << lobe).pdf > 0.0;
+            if reachable { lobes.invert(lobe, wo, wi) } else { None }
+        })
+    }
+
+    /// Probability of choosing a lobe, deltas included; they sum to 1.
+    #[inline]
+    #[must_use]
+    pub fn lobe_probability(&self, lobe: u32, wo: Vec3) -> f32 {
+        each!(self, lobes => lobes.probability(lobe, wo))
+    }
+
+    /// Diffuse and specular colour together, in [0, 1]: a guide for denoisers.
+    #[inline]
+    #[must_use]
+    pub fn albedo(&self) -> Vec3 {
+        each!(self, lobes => lobes.albedo()).clamp(Vec3::ZERO, Vec3::ONE)
+    }
+
+    /// Smallest α of the lobes: 1 for diffuse ones, 0 for deltas.
+    #[inline]
+    #[must_use]
+    pub fn roughness(&self) -> f32 {
+        each!(self, lobes => lobes.roughness())
+    }
+}

@@ -1,0 +1,65 @@
+//! From a scene's materials and textures to lobes at a point.
+
+use glam::{Vec2, Vec3};
+
+use super::bsdf::Bsdf;
+use crate::scene::{Color, ConductorColor, Material, MaterialId, Roughness, Scene};
+
+/// The lobes of a material at texture coordinates.
+///
+/// Textures are cut to what a material allows: albedos to [0, 1] (and their sum to 1), roughness to at least 0, mixing weights to [0, 1].
+///
+/// # Panics
+/// If `id` is not one of `scene`'s, which a valid scene never contains.
+#[inline]
+#[must_use]
+pub fn evaluate_material(scene: &Scene, id: MaterialId, uv: Vec2) -> Bsdf {
+    match &scene.materials[id.index()] {
+        Material::Diffuse { reflectance } => Bsdf::diffuse(albedo(scene, *reflectance, uv)),
+        Material::Mix { first, second, amount } => {
+            let (first, second) =
+                (&scene.materials[first.index()], &scene.materials[second.index()]);
+            let (first, second) = (unmixed(scene, first, uv), unmixed(scene, second, uv));
+            let mixed = Bsdf::mix(&first, &second, scene.scalar(*amount, uv));
+            // Validation refuses a mix of mixes.
+            debug_assert!(mixed.is_some());
+            mixed.unwrap_or_else(|| Bsdf::diffuse(Vec3::ZERO))
+        }
+        material => unmixed(scene, material, uv),
+    }
+}
+
+fn unmixed(scene: &Scene, material: &Material, uv: Vec2) -> Bsdf {
+    match *material {
+        Material::Diffuse { reflectance } => Bsdf::diffuse(albedo(scene, reflectance, uv)),
+        Material::DiffuseTransmission { reflectance, transmittance } => {
+            let reflectance = albedo(scene, reflectance, uv);
+            let transmittance = albedo(scene, transmittance, uv).min(Vec3::ONE - reflectance);
+            Bsdf::diffuse_transmission(reflectance, transmittance)
+        }
+        Material::Conductor { color, roughness } => {
+            let alpha = alpha(scene, roughness, uv);
+            match color {
+                ConductorColor::Complex { eta, k } => {
+                    let (eta, k) = (scene.color(eta, uv), scene.color(k, uv));
+                    Bsdf::conductor(eta.max(Vec3::ZERO), k.max(Vec3::ZERO), alpha)
+                }
+                ConductorColor::Reflectance(color) => Bsdf::metal(albedo(scene, color, uv), alpha),
+            }
+        }
+        _ => Bsdf::diffuse(Vec3::splat(0.5)),
+    }
+}
+
+#[inline]
+fn albedo(scene: &Scene, color: Color, uv: Vec2) -> Vec3 {
+    scene.color(color, uv).clamp(Vec3::ZERO, Vec3::ONE)
+}
+
+/// α along both tangents.
+#[inline]
+fn alpha(scene: &Scene, roughness: Roughness, uv: Vec2) -> Vec2 {
+    let raw = Vec2::new(scene.scalar(roughness.u, uv), scene.scalar(roughness.v, uv));
+    let raw = raw.max(Vec2::ZERO);
+    if roughness.remap { raw.map(f32::sqrt) } else { raw }
+}
