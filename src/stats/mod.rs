@@ -3,9 +3,22 @@
 //! | question | here |
 //! |---|---|
 //! | do samples follow their pdf? | [`check_sphere`], [`check_square`], [`chi_square`] |
+//! | is a mean right? | [`t_test`], [`welch`], [`equivalence`] with its three-way [`Verdict`] |
+//! | many tests at once? | [`holm`], [`sidak`], [`benjamini_hochberg`], [`two_stage`] |
+//! | same distribution? | [`ks_uniform`], [`ks_two_sample`] |
+//! | how many samples? | [`samples_for_bias`], [`detectable_bias`] |
 //!
 //! All sums are f64; all tail probabilities are survival functions, never 1 − cdf.
 
 mod chi_square;
+mod mean;
+mod moments;
+mod multiple;
 
 pub use chi_square::{ChiSquare, DensityCheck, Grid, check_sphere, check_square, chi_square};
+pub use mean::{Equivalence, Estimate, Margin, MeanTest, Verdict, equivalence, t_test, welch};
+pub use moments::{Moments, batch_means};
+pub use multiple::{
+    KolmogorovSmirnov, TwoStage, benjamini_hochberg, detectable_bias, holm, ks_two_sample,
+    ks_uniform, samples_for_bias, sidak, sidak_p, two_stage,
+};
