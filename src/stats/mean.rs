@@ -213,7 +213,7 @@ pub fn equivalence(test: &MeanTest, margin: &Margin) -> Equivalence {
     let p = if test.difference.is_nan() || test.standard_error.is_nan() {
         1.0
     } else if test.standard_error == 0.0 {
-        if distance > 0.0 { 0.0 } else { 1.0 }
+        if distance > 0.0 || test.difference == 0.0 { 0.0 } else { 1.0 }
     } else {
         t_sf(distance / test.standard_error, test.dof)
     };

@@ -6,16 +6,19 @@
 //! | is a mean right? | [`t_test`], [`welch`], [`equivalence`] with its three-way [`Verdict`] |
 //! | many tests at once? | [`holm`], [`sidak`], [`benjamini_hochberg`], [`two_stage`] |
 //! | same distribution? | [`ks_uniform`], [`ks_two_sample`] |
+//! | is an expectation exactly right? | [`enumerate`], [`expectation`]: every outcome, exact probabilities |
 //! | how many samples? | [`samples_for_bias`], [`detectable_bias`] |
 //!
 //! All sums are f64; all tail probabilities are survival functions, never 1 − cdf.
 
 mod chi_square;
+mod enumerate;
 mod mean;
 mod moments;
 mod multiple;
 
 pub use chi_square::{ChiSquare, DensityCheck, Grid, check_sphere, check_square, chi_square};
+pub use enumerate::{Enumerator, Outcome, Rational, enumerate, enumerate_stratified, expectation};
 pub use mean::{Equivalence, Estimate, Margin, MeanTest, Verdict, equivalence, t_test, welch};
 pub use moments::{Moments, batch_means};
 pub use multiple::{

@@ -4,7 +4,7 @@ use super::Estimate;
 
 /// Count, mean, and second and third central sums of a sample, in f64 and in one pass.
 ///
-/// Welford's (1962) update, with Chan, Golub and LeVeque's (1983) merge and its third-order form (Pébay 2008, eq. 2.1). Nothing is
+/// Welford's (1962) update, with Chan, Golub and `LeVeque`'s (1983) merge and its third-order form (Pébay 2008, eq. 2.1). Nothing is
 /// trimmed: an outlier belongs to the estimate, and a value that is not finite makes every moment NaN.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Moments {
