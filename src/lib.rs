@@ -16,5 +16,6 @@ pub mod scene;
 pub mod stats;
 pub mod surface;
 pub mod techniques;
+pub mod world;
 
 pub use error::{Error, Result};

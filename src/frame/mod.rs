@@ -1,1 +1,324 @@
-//! (to come)
+//! The loop over frames: the scene's time, buffers and their history, the order of passes. It knows no technique.
+//!
+//! ```text
+//! Stage (scene, facts, first world) ──► FrameLoop::new(technique, stage, shot) ──► render() ──► Frame (picture, layers, counters, times)
+//! ```
+//!
+//! A pass writes only its own pixels, tiles or items and reads only what earlier passes wrote, so the result has the same bits for any number
+//! of threads. Threads are those of the rayon pool that the caller installs.
+
+mod cpu;
+mod guides;
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use glam::Vec3;
+
+pub use guides::Guides;
+
+use crate::accel::{BuildOptions, HitFilter, Ray};
+use crate::error::{Error, Result};
+use crate::metrics::Picture;
+use crate::path::{Counters, emitted};
+use crate::plan::{BufferId, Elements, Kernel, Plan, SceneFacts, Shot};
+use crate::scene::Scene;
+use crate::techniques::{Band, Buffer, FrameInputs, PrimaryHit, Technique};
+use crate::world::{WithFilter, World};
+
+/// A scene ready for any number of runs: its facts and its first frame's world, built once.
+#[derive(Clone, Debug)]
+pub struct Stage {
+    scene: Arc<Scene>,
+    facts: SceneFacts,
+    first: Arc<World>,
+}
+
+impl Stage {
+    /// Prepares a scene, which may move.
+    ///
+    /// # Errors
+    /// Whatever [`Scene::validate`] refuses, and geometry that no acceleration structure can be built for.
+    pub fn new(scene: Scene) -> Result<Self> {
+        Self::with_options(scene, &BuildOptions::default())
+    }
+
+    /// As [`Stage::new`], with a choice of acceleration structure.
+    ///
+    /// # Errors
+    /// As [`Stage::new`].
+    pub fn with_options(scene: Scene, options: &BuildOptions) -> Result<Self> {
+        scene.validate()?;
+        let first = World::new(scene.at(scene.time[0]), options)?;
+        let facts = SceneFacts::new(&scene);
+        Ok(Self { scene: Arc::new(scene), facts, first: Arc::new(first) })
+    }
+
+    /// The scene, with its motion.
+    #[must_use]
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// What the scene contains.
+    #[must_use]
+    pub fn facts(&self) -> &SceneFacts {
+        &self.facts
+    }
+
+    /// The world of the first frame.
+    #[must_use]
+    pub fn first_world(&self) -> &Arc<World> {
+        &self.first
+    }
+}
+
+/// Runs one technique on one scene, frame after frame.
+#[derive(Debug)]
+pub struct FrameLoop {
+    technique: Arc<dyn Technique>,
+    stage: Stage,
+    shot: Shot,
+    plan: Plan,
+    world: Arc<World>,
+    previous: Option<Arc<World>>,
+    buffers: Vec<Buffer>,
+    next_frame: u32,
+}
+
+/// One rendered frame, borrowed from the loop.
+#[derive(Debug)]
+pub struct Frame<'a> {
+    frame_loop: &'a FrameLoop,
+    /// From 0 after every restart.
+    pub index: u32,
+    /// Work done in this frame.
+    pub counters: Counters,
+    /// Milliseconds of each pass that ran, in order; the scene's update comes first where anything moves.
+    pub passes: Vec<(&'static str, f64)>,
+}
+
+impl FrameLoop {
+    /// A loop before its first frame.
+    ///
+    /// # Errors
+    /// A picture without pixels or with 2³¹ or more, a depth of 0, no effort, no frames a second.
+    pub fn new(technique: Arc<dyn Technique>, stage: &Stage, shot: Shot) -> Result<Self> {
+        let Shot { size: [width, height], depth, filter: _, run: _, effort, fps } = shot;
+        let pixels = u64::from(width) * u64::from(height);
+        if pixels == 0 || pixels >= 1 << 31 {
+            return Err(Error::usage(format!(
+                "the picture is {width}x{height}, but must have between 1 and 2^31 - 1 pixels"
+            )));
+        }
+        if depth == 0 || effort == 0 || fps == 0 {
+            return Err(Error::usage(format!(
+                "depth {depth}, effort {effort}, fps {fps}: each must be at least 1"
+            )));
+        }
+        let plan = technique.plan(&stage.facts, &shot);
+        let buffers = plan
+            .buffers
+            .iter()
+            .map(|buffer| {
+                let elements = match buffer.elements {
+                    Elements::Pixels => pixels as usize,
+                    Elements::Items(n) => n as usize,
+                };
+                let words = vec![0; elements * buffer.bytes as usize / 4];
+                Buffer {
+                    previous: if buffer.history { words.clone() } else { Vec::new() },
+                    current: words,
+                }
+            })
+            .collect();
+        let world = stage.first.clone();
+        Ok(Self {
+            technique,
+            stage: stage.clone(),
+            shot,
+            plan,
+            world,
+            previous: None,
+            buffers,
+            next_frame: 0,
+        })
+    }
+
+    /// What runs.
+    #[must_use]
+    pub fn plan(&self) -> &Plan {
+        &self.plan
+    }
+
+    /// What is rendered.
+    #[must_use]
+    pub fn shot(&self) -> &Shot {
+        &self.shot
+    }
+
+    /// The world of the frame that was rendered last (or will be first).
+    #[must_use]
+    pub fn world(&self) -> &World {
+        &self.world
+    }
+
+    /// Forgets all history and begins again at the first frame, with the random numbers of another run.
+    pub fn restart(&mut self, run: u64) {
+        self.shot.run = run;
+        self.world = self.stage.first.clone();
+        self.previous = None;
+        self.next_frame = 0;
+        for buffer in &mut self.buffers {
+            buffer.current.fill(0);
+            buffer.previous.fill(0);
+        }
+    }
+
+    /// Renders the next frame at its own time: start + index / fps, clamped at the scene's end.
+    ///
+    /// # Errors
+    /// Geometry of a moving scene that no acceleration structure can be built for.
+    pub fn render(&mut self) -> Result<Frame<'_>> {
+        let begin = Instant::now();
+        let mut moved = None;
+        if self.next_frame > 0 && self.stage.facts.moves() {
+            let time = self.stage.scene.time[0] + self.next_frame as f32 / self.shot.fps as f32;
+            moved = Some(Arc::new(self.world.next(self.stage.scene.at(time))?));
+        }
+        let updated = moved.is_some().then(|| begin.elapsed());
+        self.step(moved, updated)
+    }
+
+    /// Renders the next frame of a scene that the host moves: `scene` is as it stands now, with fixed transforms. The loop was
+    /// planned for the stage's facts; a scene that needs more needs a new loop.
+    ///
+    /// # Errors
+    /// Whatever [`Scene::validate`] refuses.
+    pub fn render_scene(&mut self, scene: Scene) -> Result<Frame<'_>> {
+        let begin = Instant::now();
+        scene.validate()?;
+        let moved = Arc::new(self.world.next(scene)?);
+        let elapsed = begin.elapsed();
+        self.step(Some(moved), Some(elapsed))
+    }
+
+    fn step(
+        &mut self,
+        moved: Option<Arc<World>>,
+        updated: Option<std::time::Duration>,
+    ) -> Result<Frame<'_>> {
+        let index = self.next_frame;
+        let first = index == 0;
+        if !first {
+            self.previous = Some(self.world.clone());
+        }
+        if let Some(world) = moved {
+            self.world = world;
+        }
+        let mut passes = Vec::with_capacity(self.plan.passes.len() + 1);
+        if let Some(elapsed) = updated {
+            passes.push(("scene update", elapsed.as_secs_f64() * 1e3));
+        }
+        let camera = self.world.scene.camera.rays(self.shot.size);
+        for (buffer, plan) in self.buffers.iter_mut().zip(&self.plan.buffers) {
+            if plan.history && !first {
+                std::mem::swap(&mut buffer.current, &mut buffer.previous);
+            }
+        }
+        let mut counters = Counters::default();
+        for pass in &self.plan.passes {
+            if pass.once && !first {
+                continue;
+            }
+            let begin = Instant::now();
+            let (world, previous, shot) = (&*self.world, self.previous.as_deref(), self.shot);
+            let technique = &*self.technique;
+            let work =
+                cpu::run_pass(pass, &self.plan, shot.size, &mut self.buffers, |buffers, band| {
+                    let inputs =
+                        FrameInputs { world, previous, shot, camera, frame: index, buffers };
+                    match pass.kernel {
+                        Kernel::PrimaryHits => primary_hits(&inputs, band),
+                        Kernel::Technique(kernel) => technique.run(kernel, &inputs, band),
+                    }
+                });
+            counters = counters + work;
+            passes.push((pass.name, begin.elapsed().as_secs_f64() * 1e3));
+        }
+        self.next_frame = self.next_frame.wrapping_add(1);
+        Ok(Frame { frame_loop: self, index, counters, passes })
+    }
+
+    fn picture(&self, id: BufferId) -> Picture {
+        let values: &[[f32; 3]] = bytemuck::cast_slice(&self.buffers[id.0].current);
+        let [width, height] = self.shot.size;
+        Picture::new(width, height, values.iter().map(|rgb| Vec3::from_array(*rgb)).collect())
+    }
+}
+
+impl Frame<'_> {
+    /// The frame's estimate: all light but what is emitted directly towards the camera.
+    #[must_use]
+    pub fn picture(&self) -> Picture {
+        self.frame_loop.picture(Plan::RADIANCE)
+    }
+
+    /// Directly visible emission and sky: part of the picture, left out of every metric.
+    #[must_use]
+    pub fn emission(&self) -> Picture {
+        self.frame_loop.picture(Plan::EMISSION)
+    }
+
+    /// Albedo, normal, depth and motion through pixel centres. Traced here, in no pass's time.
+    #[must_use]
+    pub fn guides(&self) -> Guides {
+        let FrameLoop { world, previous, shot, .. } = self.frame_loop;
+        Guides::new(world, previous.as_deref(), shot.size)
+    }
+
+    /// Milliseconds of all passes.
+    #[must_use]
+    pub fn milliseconds(&self) -> f64 {
+        self.passes.iter().map(|(_, ms)| ms).sum()
+    }
+}
+
+/// Traces primary rays through pixel centres and writes hits and directly visible emission.
+fn primary_hits(inputs: &FrameInputs<'_>, band: &mut Band<'_>) -> Counters {
+    struct Hits<'a, 'b, 'c>(&'a FrameInputs<'b>, &'a mut Band<'c>);
+    impl WithFilter for Hits<'_, '_, '_> {
+        type Output = Counters;
+
+        fn run<F: HitFilter + Sync>(self, filter: F) -> Counters {
+            let Self(inputs, band) = self;
+            let world = inputs.world;
+            let hits: &mut [PrimaryHit] = band.take(0);
+            let emission: &mut [[f32; 3]] = band.take(1);
+            let first = band.range.start * band.width;
+            for (local, (out, seen)) in hits.iter_mut().zip(emission).enumerate() {
+                let pixel = first + local as u32;
+                let ray = inputs.camera.ray(inputs.sample_position(
+                    pixel % band.width,
+                    pixel / band.width,
+                    0,
+                ));
+                let hit = world.accel.closest_hit(
+                    &Ray { origin: ray.origin, direction: ray.direction, t_max: f32::INFINITY },
+                    &filter,
+                );
+                *seen = match &hit {
+                    Some(hit) => emitted(world, &world.accel.point(hit), ray.direction),
+                    None => world.escaped_radiance(ray.direction),
+                }
+                .to_array();
+                *out = hit.into();
+            }
+            Counters {
+                primary_rays: u64::from(band.range.end - band.range.start) * u64::from(band.width),
+                ..Counters::default()
+            }
+        }
+    }
+    inputs.world.with_filter(Hits(inputs, band))
+}

@@ -1,1 +1,244 @@
-//! (to come)
+//! Paths from the camera: the walk that every technique without reuse is made of, and that others take their candidates from.
+//!
+//! | here | meaning |
+//! |---|---|
+//! | vertex 0 | the primary hit |
+//! | segment | an edge of the path; the primary ray is the first, so direct light has two |
+//! | `depth` | most segments a path may have |
+//! | p̂ ℓ, p_b | density per unit solid angle of light sampling and of BSDF sampling, choices included |
+//!
+//! Numbers come from [`crate::math::rng::draw4`] with the path's seed by (vertex, block), so none depends on an earlier branch.
+
+use glam::Vec3;
+
+use crate::accel::{Hit, HitFilter, HitPoint, Ray};
+use crate::light::NO_LIGHT;
+use crate::math::luminance;
+use crate::math::rng::{BLOCK_LIGHT, BLOCK_ROULETTE, BLOCK_SCATTER, draw4, unit_float};
+use crate::surface::SurfacePoint;
+use crate::world::World;
+
+/// Work that was done: exact and the same for any number of threads.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counters {
+    /// Rays from the camera.
+    pub primary_rays: u64,
+    /// Rays that continue a path.
+    pub bounce_rays: u64,
+    /// Rays that only ask for occlusion.
+    pub shadow_rays: u64,
+    /// Light samples that needed no ray: nothing emitted towards the receiver, or nothing scattered.
+    pub shadow_rays_saved: u64,
+    /// Complete path estimates.
+    pub paths: u64,
+    /// Estimates that were not finite. Always a bug: they are counted and shown as black, never passed on.
+    pub non_finite: u64,
+}
+
+impl Counters {
+    /// Names and values, in a fixed order.
+    #[must_use]
+    pub fn entries(&self) -> [(&'static str, u64); 6] {
+        let Self { primary_rays, bounce_rays, shadow_rays, shadow_rays_saved, paths, non_finite } =
+            *self;
+        [
+            ("primary_rays", primary_rays),
+            ("bounce_rays", bounce_rays),
+            ("shadow_rays", shadow_rays),
+            ("shadow_rays_saved", shadow_rays_saved),
+            ("paths", paths),
+            ("non_finite", non_finite),
+        ]
+    }
+}
+
+impl std::ops::Add for Counters {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        Self {
+            primary_rays: self.primary_rays + other.primary_rays,
+            bounce_rays: self.bounce_rays + other.bounce_rays,
+            shadow_rays: self.shadow_rays + other.shadow_rays,
+            shadow_rays_saved: self.shadow_rays_saved + other.shadow_rays_saved,
+            paths: self.paths + other.paths,
+            non_finite: self.non_finite + other.non_finite,
+        }
+    }
+}
+
+/// When a path ends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Most segments a path may have.
+    pub depth: u32,
+    /// Scatterings before Russian roulette may end a path.
+    pub roulette_after: u32,
+}
+
+/// Share of technique `a` by the power heuristic with exponent 2 (Veach 1997, eq. 9.13): a² / (a² + b²), for a > 0 and b ≥ 0.
+#[inline]
+#[must_use]
+pub fn power_heuristic(a: f32, b: f32) -> f32 {
+    // By the ratio: squares of densities overflow.
+    let ratio = b / a;
+    1.0 / (1.0 + ratio * ratio)
+}
+
+/// Emitted radiance at a hit towards where the ray came from.
+#[inline]
+#[must_use]
+pub fn emitted(world: &World, point: &HitPoint, direction: Vec3) -> Vec3 {
+    match world.lights.of_surface(point.shape, point.element) {
+        NO_LIGHT => Vec3::ZERO,
+        light => world.lights.emitted(
+            &world.scene,
+            light,
+            point.uv,
+            -direction.dot(point.geometric_normal),
+        ),
+    }
+}
+
+/// Light reflected or transmitted towards the camera at a primary hit: one unbiased estimate of all paths with 2 to `limits.depth` segments.
+///
+/// `NEE` adds light sampling at every vertex with a non-delta lobe, combined with BSDF sampling by the power heuristic. `direction` is the
+/// primary ray's, of unit length.
+#[inline]
+#[must_use]
+pub fn scattered_radiance<const NEE: bool, F: HitFilter>(
+    world: &World,
+    filter: &F,
+    seed: u64,
+    primary: (Vec3, &Hit),
+    limits: Limits,
+    counters: &mut Counters,
+) -> Vec3 {
+    let mut radiance = Vec3::ZERO;
+    let mut throughput = Vec3::ONE;
+    let mut eta_scale = 1.0_f32;
+    let mut direction = primary.0;
+    let mut hit = world.accel.point(primary.1);
+    counters.paths += 1;
+    for vertex in 0..limits.depth.saturating_sub(1) {
+        let surface = SurfacePoint::new(&world.scene, &world.shapes, &hit);
+        if surface.bsdf.is_black() {
+            break;
+        }
+        let outgoing = surface.frame.to_local(-direction);
+        if NEE && surface.bsdf.has_non_delta() && !world.lights.is_empty() {
+            radiance += throughput
+                * direct_light(
+                    world,
+                    filter,
+                    &surface,
+                    outgoing,
+                    draw4(seed, vertex, BLOCK_LIGHT),
+                    counters,
+                );
+        }
+
+        let Some(sample) = surface.bsdf.sample(outgoing, draw4(seed, vertex, BLOCK_SCATTER)) else {
+            break;
+        };
+        throughput *= sample.value / sample.pdf;
+        if sample.transmission {
+            eta_scale *= sample.eta * sample.eta;
+        }
+        if throughput == Vec3::ZERO {
+            break;
+        }
+        if vertex >= limits.roulette_after {
+            // Refraction squeezes radiance by η²; the path's importance is not less for it.
+            let survival = (throughput.max_element() * eta_scale).min(0.95);
+            if unit_float(draw4(seed, vertex, BLOCK_ROULETTE)[0]) >= survival {
+                break;
+            }
+            throughput /= survival;
+        }
+
+        direction = surface.frame.to_world(sample.wi).normalize();
+        let ray = Ray { origin: surface.origin(direction), direction, t_max: f32::INFINITY };
+        counters.bounce_rays += 1;
+        let weight = |choice: f32, pdf: f32| {
+            if NEE && !sample.delta { power_heuristic(sample.pdf, choice * pdf) } else { 1.0 }
+        };
+        let Some(next) = world.accel.closest_hit(&ray, filter) else {
+            for (light, environment) in world.lights.environments() {
+                let share =
+                    weight(world.lights.choice_probability(light), environment.pdf(direction));
+                radiance += throughput * environment.radiance(direction) * share;
+            }
+            break;
+        };
+        hit = world.accel.point(&next);
+        let light = world.lights.of_surface(hit.shape, hit.element);
+        if light != NO_LIGHT {
+            let cos_light = -direction.dot(hit.geometric_normal);
+            let emission = world.lights.emitted(&world.scene, light, hit.uv, cos_light);
+            if emission != Vec3::ZERO {
+                let pdf =
+                    world.lights.pdf_towards(light, surface.position, hit.position, cos_light);
+                radiance +=
+                    throughput * emission * weight(world.lights.choice_probability(light), pdf);
+            }
+        }
+    }
+    radiance
+}
+
+/// One light sample at a surface, weighted against BSDF sampling: an estimate of ∫ Le f |cos θ| V w_ℓ dω.
+#[inline]
+fn direct_light<F: HitFilter>(
+    world: &World,
+    filter: &F,
+    surface: &SurfacePoint,
+    outgoing: Vec3,
+    words: [u32; 4],
+    counters: &mut Counters,
+) -> Vec3 {
+    let light = world.lights.choose(words[0], words[1]);
+    let choice = world.lights.choice_probability(light);
+    let u = glam::Vec2::new(unit_float(words[2]), unit_float(words[3]));
+    let Some(incident) = world.lights.sample_towards(&world.scene, light, surface.position, u)
+    else {
+        counters.shadow_rays_saved += 1;
+        return Vec3::ZERO;
+    };
+    let scattered = surface.bsdf.evaluate(outgoing, surface.frame.to_local(incident.direction));
+    if scattered.value == Vec3::ZERO {
+        counters.shadow_rays_saved += 1;
+        return Vec3::ZERO;
+    }
+    counters.shadow_rays += 1;
+    if world.accel.occluded(&shadow_ray(surface, incident.direction, incident.end), filter) {
+        return Vec3::ZERO;
+    }
+    let density = choice * incident.pdf;
+    let share = if incident.delta { 1.0 } else { power_heuristic(density, scattered.pdf) };
+    incident.radiance * scattered.value * (share / density)
+}
+
+/// The ray that asks whether a light point is seen from a surface; it ends before the light's own surface.
+#[inline]
+#[must_use]
+pub fn shadow_ray(surface: &SurfacePoint, direction: Vec3, end: Option<Vec3>) -> Ray {
+    let origin = surface.origin(direction);
+    match end {
+        Some(end) => Ray { origin, direction: end - origin, t_max: 1.0 },
+        None => Ray { origin, direction, t_max: f32::INFINITY },
+    }
+}
+
+/// `radiance`, or black and counted where it is not finite.
+#[inline]
+#[must_use]
+pub fn finite_or_counted(radiance: Vec3, counters: &mut Counters) -> Vec3 {
+    debug_assert!(radiance.is_finite(), "an estimate is {radiance}");
+    if luminance(radiance).is_finite() && radiance.is_finite() {
+        radiance
+    } else {
+        counters.non_finite += 1;
+        Vec3::ZERO
+    }
+}

@@ -28,20 +28,45 @@ impl Default for Camera {
     }
 }
 
-impl Camera {
-    /// The ray through `position`, in pixels from the upper left corner (centres at half integers), of a `width` × `height` picture.
-    /// The camera's transform must be fixed (see [`super::Scene::at`]).
+/// All primary rays of one picture, with what they share computed once.
+#[derive(Clone, Copy, Debug)]
+pub struct CameraRays {
+    origin: Vec3,
+    corner: Vec3,
+    right: Vec3,
+    down: Vec3,
+}
+
+impl CameraRays {
+    /// The ray through `position`, in pixels from the upper left corner (centres at half integers).
+    #[inline]
     #[must_use]
-    pub fn ray(&self, position: Vec2, size: [u32; 2]) -> CameraRay {
+    pub fn ray(&self, position: Vec2) -> CameraRay {
+        let direction = self.corner + self.right * position.x + self.down * position.y;
+        CameraRay { origin: self.origin, direction: direction.normalize() }
+    }
+}
+
+impl Camera {
+    /// The rays of a `size` picture. The camera's transform must be fixed (see [`super::Scene::at`]).
+    #[must_use]
+    pub fn rays(&self, size: [u32; 2]) -> CameraRays {
         let to_world = self.to_world.fixed();
         let size = Vec2::new(size[0] as f32, size[1] as f32);
         let scale = (0.5 * self.fov).tan() * 2.0 / size.min_element();
-        let at = (position - 0.5 * size) * scale;
-        let direction = to_world.transform_vector3(Vec3::new(at.x, -at.y, 1.0));
-        CameraRay { origin: to_world.translation.into(), direction: direction.normalize() }
+        CameraRays {
+            origin: to_world.translation.into(),
+            corner: to_world.transform_vector3(Vec3::new(
+                -0.5 * size.x * scale,
+                0.5 * size.y * scale,
+                1.0,
+            )),
+            right: to_world.transform_vector3(Vec3::X) * scale,
+            down: to_world.transform_vector3(Vec3::NEG_Y) * scale,
+        }
     }
 
-    /// The pixel position that a world point projects to, or `None` at and behind the pinhole. Inverse of [`Camera::ray`].
+    /// The pixel position that a world point projects to, or `None` at and behind the pinhole. Inverse of [`CameraRays::ray`].
     #[must_use]
     pub fn project(&self, point: Vec3, size: [u32; 2]) -> Option<Vec2> {
         let local = self.to_world.fixed().inverse().transform_point3(point);
@@ -65,7 +90,7 @@ mod tests {
         );
         let camera = Camera { to_world: Transform::Fixed(to_world), fov: 0.6 };
         for p in [Vec2::new(0.5, 0.5), Vec2::new(31.5, 7.25), Vec2::new(63.9, 0.1)] {
-            let ray = camera.ray(p, [64, 48]);
+            let ray = camera.rays([64, 48]).ray(p);
             let back = camera.project(ray.origin + 5.0 * ray.direction, [64, 48]).unwrap();
             assert!((back - p).length() < 1e-3, "{p} -> {back}");
             assert_eq!(camera.project(ray.origin - ray.direction, [64, 48]), None);
@@ -75,7 +100,7 @@ mod tests {
     #[test]
     fn fov_spans_the_shorter_side() {
         let camera = Camera { to_world: Transform::IDENTITY, fov: std::f32::consts::FRAC_PI_2 };
-        let top = camera.ray(Vec2::new(40.0, 0.0), [80, 20]).direction;
+        let top = camera.rays([80, 20]).ray(Vec2::new(40.0, 0.0)).direction;
         assert!((top.y / top.z - 1.0).abs() < 1e-6, "{top}");
     }
 }

@@ -24,7 +24,7 @@ mod validate;
 
 use std::sync::Arc;
 
-pub use camera::{Camera, CameraRay};
+pub use camera::{Camera, CameraRay, CameraRays};
 
 pub use image::{Image, ImageData};
 pub use light::{EnvironmentMapping, Light, LightKind, SpotFalloff};

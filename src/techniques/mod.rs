@@ -1,1 +1,167 @@
-//! (to come)
+//! The methods under comparison. Each is immutable parameters plus kernels; its state lies in the frame loop's buffers.
+//!
+//! A technique is named by a SPEC: `name` or `name:key=value,key=value`. [`REGISTRY`] lists all; the command line, benches and tests loop
+//! over it.
+
+mod pass;
+mod path_tracer;
+
+use std::fmt;
+
+pub use pass::{Band, Buffer, FrameInputs, MAX_WRITES, PrimaryHit};
+pub use path_tracer::PathTracer;
+
+use crate::error::{Error, Result, suggest};
+use crate::path::Counters;
+use crate::plan::{Plan, SceneFacts, Shot};
+
+/// A rendering method.
+///
+/// Laws, which one test holds every entry of [`REGISTRY`] to:
+/// 1. `parse(technique.spec())` gives the same technique.
+/// 2. A kernel's writes depend on its inputs only, not on how the picture is cut into bands.
+/// 3. The mean over runs agrees with `plan().claim`.
+/// 4. No frame uses more rays of a kind than `plan().rays_per_pixel` says.
+pub trait Technique: fmt::Debug + Send + Sync {
+    /// The canonical SPEC: the name, and the parameters that differ from their defaults.
+    fn spec(&self) -> String;
+
+    /// What will run for a scene, and what is left out.
+    fn plan(&self, facts: &SceneFacts, shot: &Shot) -> Plan;
+
+    /// Runs kernel number `kernel` over a band; one call a band, all per-ray choices are made inside it once.
+    fn run(&self, kernel: u32, inputs: &FrameInputs<'_>, band: &mut Band<'_>) -> Counters;
+}
+
+/// A line of the [`REGISTRY`].
+#[derive(Clone, Copy, Debug)]
+pub struct Entry {
+    /// As in a SPEC.
+    pub name: &'static str,
+    /// One line for people.
+    pub about: &'static str,
+    /// Its parameters.
+    pub parameters: &'static [Parameter],
+    /// Builds the technique from given values.
+    pub build: fn(&mut Values) -> Result<Box<dyn Technique>>,
+}
+
+/// A parameter that a SPEC may set.
+#[derive(Clone, Copy, Debug)]
+pub struct Parameter {
+    /// As in a SPEC.
+    pub key: &'static str,
+    /// What it does, its range, what higher and lower values cost.
+    pub about: &'static str,
+    /// Where it is not given.
+    pub default: &'static str,
+}
+
+/// All techniques.
+pub const REGISTRY: &[Entry] = &[path_tracer::BSDF, path_tracer::NEE];
+
+/// The `key=value` pairs of a SPEC.
+#[derive(Clone, Debug, Default)]
+pub struct Values {
+    pairs: Vec<(String, String)>,
+}
+
+impl Values {
+    /// The value of `key` as a number in `range`, or `default`.
+    ///
+    /// # Errors
+    /// A usage error that names the key, what was given and what is allowed.
+    pub fn integer(
+        &mut self,
+        key: &str,
+        default: u32,
+        range: std::ops::RangeInclusive<u32>,
+    ) -> Result<u32> {
+        let Some(at) = self.pairs.iter().position(|(k, _)| k == key) else { return Ok(default) };
+        let (_, text) = self.pairs.remove(at);
+        match text.parse::<u32>() {
+            Ok(value) if range.contains(&value) => Ok(value),
+            _ => Err(Error::usage(format!(
+                "`{key}` is `{text}`, but must be an integer in [{}, {}]",
+                range.start(),
+                range.end()
+            ))),
+        }
+    }
+}
+
+/// The technique that a SPEC names.
+///
+/// # Errors
+/// Unknown names and keys list what exists, nearest first; values out of range say what is allowed.
+pub fn parse(spec: &str) -> Result<Box<dyn Technique>> {
+    let (name, rest) = spec.split_once(':').unwrap_or((spec, ""));
+    let names: Vec<&str> = REGISTRY.iter().map(|entry| entry.name).collect();
+    let entry = REGISTRY.iter().find(|entry| entry.name == name).ok_or_else(|| {
+        Error::usage(format!("no technique is called `{name}`; {}", suggest(name, &names)))
+    })?;
+    let keys: Vec<&str> = entry.parameters.iter().map(|parameter| parameter.key).collect();
+    let mut values = Values::default();
+    for pair in rest.split(',').filter(|pair| !pair.is_empty()) {
+        let Some((key, value)) = pair.split_once('=') else {
+            return Err(Error::usage(format!(
+                "`{pair}` in `{spec}` is not of the form key=value; {}",
+                suggest(pair, &keys)
+            )));
+        };
+        if !keys.contains(&key) {
+            return Err(Error::usage(format!(
+                "`{name}` has no parameter `{key}`; {}",
+                suggest(key, &keys)
+            )));
+        }
+        if values.pairs.iter().any(|(k, _)| k == key) {
+            return Err(Error::usage(format!("`{key}` is given twice in `{spec}`")));
+        }
+        values.pairs.push((key.to_string(), value.to_string()));
+    }
+    let technique = (entry.build)(&mut values)?;
+    debug_assert!(values.pairs.is_empty(), "a declared parameter was not read: {values:?}");
+    Ok(technique)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_entry_parses_and_its_spec_is_stable() {
+        for entry in REGISTRY {
+            let technique = parse(entry.name).unwrap();
+            assert_eq!(technique.spec(), entry.name);
+            for parameter in entry.parameters {
+                let spec = format!("{}:{}={}", entry.name, parameter.key, parameter.default);
+                assert_eq!(
+                    parse(&spec).unwrap().spec(),
+                    entry.name,
+                    "defaults are left out of the canonical SPEC"
+                );
+            }
+        }
+        assert_eq!(parse("nee:roulette=3").unwrap().spec(), "nee:roulette=3");
+    }
+
+    #[test]
+    fn unknown_names_and_keys_list_what_exists() {
+        for (spec, text) in [
+            ("ne", "no technique is called `ne`; known: nee, bsdf"),
+            ("nee:rulette=3", "`nee` has no parameter `rulette`; known: roulette"),
+            (
+                "nee:roulette",
+                "`roulette` in `nee:roulette` is not of the form key=value; known: roulette",
+            ),
+            ("nee:roulette=-1", "`roulette` is `-1`, but must be an integer in [0, 1000]"),
+            (
+                "nee:roulette=1,roulette=2",
+                "`roulette` is given twice in `nee:roulette=1,roulette=2`",
+            ),
+        ] {
+            assert_eq!(parse(spec).unwrap_err().to_string(), text);
+        }
+    }
+}

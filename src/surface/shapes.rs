@@ -1,0 +1,67 @@
+//! Every placed shape by its running number: over instances in order, then over the shapes of the instance's object.
+
+use crate::accel::{Accel, Hit, HitFilter, Ray};
+use crate::math::rng::pcg4d;
+use crate::scene::{MaterialId, Scalar, Scene};
+
+/// What rendering needs of a placed shape besides its geometry.
+#[derive(Clone, Copy, Debug)]
+pub struct ShapeInfo {
+    /// How it scatters.
+    pub material: MaterialId,
+    /// Coverage, where it is not 1.
+    pub alpha: Option<Scalar>,
+    /// Whether it emits.
+    pub emits: bool,
+}
+
+/// The scene's shapes by running number.
+#[must_use]
+pub fn placed_shapes(scene: &Scene) -> Vec<ShapeInfo> {
+    let objects = scene.instances.iter().map(|instance| &scene.objects[instance.object.index()]);
+    objects
+        .flat_map(|object| &object.shapes)
+        .map(|shape| ShapeInfo {
+            material: shape.material,
+            alpha: shape.alpha.filter(|alpha| !matches!(alpha, Scalar::Constant(a) if *a >= 1.0)),
+            emits: shape.emission.is_some(),
+        })
+        .collect()
+}
+
+/// Lets a ray pass where a shape's coverage says so.
+///
+/// A hit is kept with probability alpha. The coin is a hash of the ray and the hit's parameters, so a ray that is traced again, or only
+/// asked for occlusion, decides the same.
+#[derive(Clone, Copy, Debug)]
+pub struct AlphaMask<'a> {
+    /// Textures.
+    pub scene: &'a Scene,
+    /// Where hits are.
+    pub accel: &'a Accel,
+    /// By running number.
+    pub shapes: &'a [ShapeInfo],
+}
+
+impl HitFilter for AlphaMask<'_> {
+    #[inline]
+    fn accept(&self, ray: &Ray, hit: &Hit) -> bool {
+        let point = self.accel.point(hit);
+        let Some(alpha) = self.shapes[point.shape as usize].alpha else { return true };
+        let alpha = self.scene.scalar(alpha, point.uv);
+        if alpha >= 1.0 {
+            return true;
+        }
+        if alpha <= 0.0 {
+            return false;
+        }
+        let d = ray.direction.to_array().map(f32::to_bits);
+        let [word, ..] = pcg4d([
+            d[0] ^ ray.origin.x.to_bits(),
+            d[1] ^ ray.origin.y.to_bits(),
+            d[2],
+            hit.t.to_bits() ^ hit.primitive,
+        ]);
+        crate::math::rng::unit_float(word) < alpha
+    }
+}

@@ -1,0 +1,124 @@
+//! A scene at one time, ready to be asked by rays: acceleration structure, light table, shapes.
+
+use std::sync::Arc;
+
+use glam::{Vec3, Vec3A};
+
+use crate::accel::{Accel, AcceptAll, BuildOptions, Hit, HitFilter, Ray};
+use crate::error::Result;
+use crate::light::Lights;
+use crate::scene::{Geometry, Scene};
+use crate::surface::{AlphaMask, ShapeInfo, SurfacePoint, placed_shapes};
+
+/// Everything that a path needs to know of the scene in one frame.
+#[derive(Clone, Debug)]
+pub struct World {
+    /// With fixed transforms.
+    pub scene: Arc<Scene>,
+    /// Geometry.
+    pub accel: Accel,
+    /// Emitters.
+    pub lights: Lights,
+    /// By running number.
+    pub shapes: Vec<ShapeInfo>,
+    /// Whether any shape lets rays through by its coverage.
+    pub has_alpha: bool,
+}
+
+/// The one thing that kernels specialise on: whether hits must be asked for their coverage.
+pub(crate) trait WithFilter {
+    type Output;
+    fn run<F: HitFilter + Sync>(self, filter: F) -> Self::Output;
+}
+
+impl World {
+    /// Prepares a scene, whose transforms are fixed (see [`Scene::at`]).
+    ///
+    /// # Errors
+    /// Whatever [`Scene::validate`] refuses, and geometry that no acceleration structure can be built for.
+    pub fn new(scene: Scene, options: &BuildOptions) -> Result<Self> {
+        scene.validate()?;
+        let accel = Accel::build(&scene, options)?;
+        Ok(Self::with_accel(scene, accel))
+    }
+
+    /// The world of the next frame: bottom levels of geometry are shared with this one.
+    ///
+    /// # Errors
+    /// As [`World::new`].
+    pub fn next(&self, scene: Scene) -> Result<Self> {
+        let accel = self.accel.rebuild(&scene)?;
+        Ok(Self::with_accel(scene, accel))
+    }
+
+    fn with_accel(scene: Scene, accel: Accel) -> Self {
+        let shapes = placed_shapes(&scene);
+        let lights = Lights::build(&scene, bounds(&scene));
+        let has_alpha = shapes.iter().any(|shape| shape.alpha.is_some());
+        Self { scene: Arc::new(scene), accel, lights, shapes, has_alpha }
+    }
+
+    /// The filter of scenes with coverage.
+    #[inline]
+    #[must_use]
+    pub fn alpha_mask(&self) -> AlphaMask<'_> {
+        AlphaMask { scene: &self.scene, accel: &self.accel, shapes: &self.shapes }
+    }
+
+    /// Runs a kernel with the filter that this world needs.
+    pub(crate) fn with_filter<K: WithFilter>(&self, kernel: K) -> K::Output {
+        if self.has_alpha { kernel.run(self.alpha_mask()) } else { kernel.run(AcceptAll) }
+    }
+
+    /// The nearest surface along a ray.
+    #[must_use]
+    pub fn closest_hit(&self, ray: &Ray) -> Option<Hit> {
+        if self.has_alpha {
+            self.accel.closest_hit(ray, &self.alpha_mask())
+        } else {
+            self.accel.closest_hit(ray, &AcceptAll)
+        }
+    }
+
+    /// The surface at a hit.
+    #[inline]
+    #[must_use]
+    pub fn surface(&self, hit: &Hit) -> SurfacePoint {
+        SurfacePoint::new(&self.scene, &self.shapes, &self.accel.point(hit))
+    }
+
+    /// Radiance from infinity along unit `direction`.
+    #[inline]
+    #[must_use]
+    pub fn escaped_radiance(&self, direction: Vec3) -> Vec3 {
+        self.lights.environments().map(|(_, environment)| environment.radiance(direction)).sum()
+    }
+}
+
+/// The world-space box around all shapes; the unit box around the origin for an empty scene.
+#[must_use]
+pub fn bounds(scene: &Scene) -> [Vec3; 2] {
+    let (mut low, mut high) = (Vec3A::INFINITY, Vec3A::NEG_INFINITY);
+    for instance in &scene.instances {
+        let to_world = instance.to_world.fixed();
+        for shape in &scene.objects[instance.object.index()].shapes {
+            let mut add = |p: Vec3| {
+                let p = to_world.transform_point3a(p.into());
+                if p.is_finite() {
+                    low = low.min(p);
+                    high = high.max(p);
+                }
+            };
+            match &shape.geometry {
+                Geometry::Mesh(mesh) => mesh.positions.iter().for_each(|p| add(*p)),
+                Geometry::Sphere { center, radius } | Geometry::Disk { center, radius, .. } => {
+                    for corner in 0..8 {
+                        let sign = |bit: u32| if corner & bit == 0 { -*radius } else { *radius };
+                        add(*center + Vec3::new(sign(1), sign(2), sign(4)));
+                    }
+                }
+            }
+        }
+    }
+    if low.cmple(high).all() { [low.into(), high.into()] } else { [-Vec3::ONE, Vec3::ONE] }
+}
