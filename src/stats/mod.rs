@@ -6,6 +6,7 @@
 //! | is a mean right? | [`t_test`], [`welch`], [`equivalence`] with its three-way [`Verdict`] |
 //! | many tests at once? | [`holm`], [`sidak`], [`benjamini_hochberg`], [`two_stage`] |
 //! | same distribution? | [`ks_uniform`], [`ks_two_sample`] |
+//! | is a picture right? | [`Restarts::compare`] with a [`Reference`]: image, tiles, pixels |
 //! | is an expectation exactly right? | [`enumerate`], [`expectation`]: every outcome, exact probabilities |
 //! | how many samples? | [`samples_for_bias`], [`detectable_bias`] |
 //!
@@ -16,6 +17,7 @@ mod enumerate;
 mod mean;
 mod moments;
 mod multiple;
+mod picture;
 
 pub use chi_square::{ChiSquare, DensityCheck, Grid, check_sphere, check_square, chi_square};
 pub use enumerate::{Enumerator, Outcome, Rational, enumerate, enumerate_stratified, expectation};
@@ -25,3 +27,4 @@ pub use multiple::{
     KolmogorovSmirnov, TwoStage, benjamini_hochberg, detectable_bias, holm, ks_two_sample,
     ks_uniform, samples_for_bias, sidak, sidak_p, two_stage,
 };
+pub use picture::{Criteria, PictureTest, Reference, Restarts, TileTest};
