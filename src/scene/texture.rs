@@ -76,6 +76,13 @@ pub enum TextureKind {
         /// Another earlier texture.
         second: TextureId,
     },
+    /// 1 in all channels where a value reaches a limit, else 0 (glTF's alpha mask).
+    Threshold {
+        /// Of an earlier texture; reads the surface's (u, v).
+        value: Scalar,
+        /// The least value that gives 1.
+        cutoff: f32,
+    },
 }
 
 /// What a picture shows outside of [0, 1)².
@@ -121,6 +128,9 @@ impl Scene {
             }
             TextureKind::Product { first, second } => {
                 self.texture(first, uv) * self.texture(second, uv)
+            }
+            TextureKind::Threshold { value, cutoff } => {
+                Vec4::splat(if self.scalar(value, uv) >= cutoff { 1.0 } else { 0.0 })
             }
         }
     }
