@@ -9,6 +9,7 @@ pub mod light;
 pub mod math;
 pub mod metrics;
 pub mod path;
+pub mod picture;
 pub mod plan;
 #[cfg(feature = "cli")]
 pub mod report;

@@ -19,8 +19,8 @@ pub use guides::Guides;
 
 use crate::accel::{BuildOptions, HitFilter, Ray};
 use crate::error::{Error, Result};
-use crate::metrics::Picture;
 use crate::path::{Counters, emitted};
+use crate::picture::Picture;
 use crate::plan::{BufferId, Elements, Kernel, Plan, SceneFacts, Shot};
 use crate::scene::Scene;
 use crate::techniques::{Band, Buffer, FrameInputs, PrimaryHit, Technique};
