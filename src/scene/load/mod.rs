@@ -17,6 +17,7 @@ mod picture;
 mod ply;
 
 use std::collections::HashSet;
+use std::io::Read;
 use std::path::Path;
 
 pub use picture::Encoding;
@@ -26,6 +27,9 @@ use crate::error::{Error, Result};
 
 /// Files above this size are refused: 4 GiB.
 const MAX_FILE_BYTES: u64 = 1 << 32;
+
+/// Gzipped files above this size unpacked are refused: 2 GiB.
+const MAX_UNPACKED_BYTES: u64 = 1 << 31;
 
 /// Reads a scene: `.pbrt` is pbrt-v4 text, `.gltf` and `.glb` are glTF 2.0. The result is valid (see [`super::Scene::validate`]).
 ///
@@ -92,6 +96,23 @@ fn read(path: &Path) -> Result<Vec<u8>> {
         return Err(Error::invalid(message).with_path(path));
     }
     std::fs::read(path).map_err(|e| Error::io(path, e))
+}
+
+/// What gzipped bytes hold, at most [`MAX_UNPACKED_BYTES`]; `None` for others.
+fn gunzip(bytes: &[u8]) -> Result<Option<Vec<u8>>> {
+    if !bytes.starts_with(&[0x1f, 0x8b]) {
+        return Ok(None);
+    }
+    let mut unpacked = Vec::new();
+    let mut reader = flate2::read::MultiGzDecoder::new(bytes).take(MAX_UNPACKED_BYTES + 1);
+    let read = reader.read_to_end(&mut unpacked);
+    read.map_err(|e| Error::syntax(format!("damaged gzip data: {e}")))?;
+    if unpacked.len() as u64 > MAX_UNPACKED_BYTES {
+        return Err(Error::invalid(format!(
+            "unpacks to more than {MAX_UNPACKED_BYTES} bytes; allowed: as many"
+        )));
+    }
+    Ok(Some(unpacked))
 }
 
 /// Warnings without repetition, in the order they were found.
