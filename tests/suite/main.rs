@@ -2,3 +2,5 @@
 //! control that must fail.
 
 mod layering;
+#[expect(dead_code, reason = "used by modules as they land")]
+mod support;
