@@ -25,6 +25,7 @@ mod validate;
 use std::sync::Arc;
 
 pub use camera::{Camera, CameraRay, CameraRays};
+pub use generate::{generate, generate_pbrt, many_lights};
 
 pub use image::{Image, ImageData};
 pub use light::{EnvironmentMapping, Light, LightKind, SpotFalloff};
