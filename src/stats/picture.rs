@@ -204,6 +204,16 @@ impl Restarts {
         &self.pixels[index][..LUMINANCE]
     }
 
+    /// Standard deviation of every pixel's luminance, of one restart; 0 outside the mask.
+    #[must_use]
+    pub fn luminance_deviation(&self) -> Vec<f64> {
+        let deviation = |m: &[Moments; QUANTITIES]| m[LUMINANCE].variance().sqrt();
+        self.pixels
+            .iter()
+            .map(|m| if m[LUMINANCE].count() == 0 { 0.0 } else { deviation(m) })
+            .collect()
+    }
+
     /// Compares with a reference.
     ///
     /// # Errors
@@ -683,6 +693,9 @@ mod tests {
         let result = all.compare(&exact(), &Criteria::default()).unwrap();
         assert_eq!((result.verdict, result.tiles.len(), result.not_finite), (Verdict::Pass, 12, 0));
         assert!(result.p_map[0].is_nan() && result.p_map[8].is_finite());
+        let deviation = all.luminance_deviation();
+        // 12.5 % of the luminance 0.589 (0.5 + 8 / 32) at pixel 8.
+        assert!(deviation[0] == 0.0 && (deviation[8] / (0.125 * 0.589 * 0.75) - 1.0).abs() < 0.4);
 
         let mut spot = restarts(20, 7, |_| Vec3::ONE);
         spot.push(&picture(1, |i| if i == 77 { Vec3::NAN } else { Vec3::ONE })).unwrap();
