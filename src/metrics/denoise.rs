@@ -33,9 +33,9 @@ const MIN_ALBEDO: f32 = 0.01;
 
 /// A joint bilateral filter: the edge-avoiding à-trous wavelet of Dammertz et al. (2010) on radiance divided by albedo.
 ///
-/// Weights are a B₃ spline times cos¹²⁸ between normals times exp(−(Δz / 0.1 z)²). Unlike Dammertz' they do not look at the colour: the filter is linear in the
-/// picture and the same for all techniques, so it measures noise and nothing else; shadows blur. Pixels where `counts` is false, that are not finite or
-/// hit nothing, give to no other.
+/// Weights are a B₃ spline times cos¹²⁸ between normals times exp(−(Δz / 0.1 z)²). Unlike Dammertz' they do not look at the
+/// colour: the filter is linear in the picture and the same for all techniques, so it measures noise and nothing else; shadows
+/// blur. Pixels where `counts` is false, that are not finite or hit nothing, give to no other.
 ///
 /// # Errors
 ///

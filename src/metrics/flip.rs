@@ -1,5 +1,6 @@
-//! LDR-FLIP on exposed linear RGB in [0, 1] (Andersson, Nilsson, Akenine-Möller, Oskarsson, Åström, Fairchild 2020, *FLIP: A Difference
-//! Evaluator for Alternating Images*, HPG). Our own writing of the paper's equations; agrees with the authors' `flip-evaluator` to f32 rounding.
+//! LDR-FLIP on exposed linear RGB in [0, 1] (Andersson, Nilsson, Akenine-Möller, Oskarsson, Åström, Fairchild 2020, *FLIP: A
+//! Difference Evaluator for Alternating Images*, HPG). Our own writing of the paper's equations; agrees with the authors'
+//! `flip-evaluator` to f32 rounding.
 //!
 //! | step | what |
 //! |---|---|
@@ -223,7 +224,8 @@ mod tests {
 
     #[test]
     fn agrees_with_the_authors_implementation() {
-        // flip-evaluator 1.7: evaluate(reference, picture, "LDR", inputsRGB=False, applyMagma=False) on the same pictures, in f32.
+        // flip-evaluator 1.7: evaluate(reference, picture, "LDR", inputsRGB=False, applyMagma=False) on the same pictures, in
+        // f32.
         let [picture, reference] = pair(48, 40);
         let map = error_map(48, &picture, &reference);
         let mean = map.iter().sum::<f64>() / map.len() as f64;

@@ -84,7 +84,8 @@ pub fn chi_square(observed: &[u64], expected: &[f64]) -> ChiSquare {
 
 /// The grid of a [`DensityCheck`] and how many samples it draws.
 ///
-/// A coarse grid (20 × 20) has more power against smooth errors than a fine one; run both where it matters. With N = 10⁶, α = 10⁻⁶ and
+/// A coarse grid (20 × 20) has more power against smooth errors than a fine one; run both where it matters. With N = 10⁶, α =
+/// 10⁻⁶ and
 /// 400 cells, a relative density error of 1.6 % (rms) is found with probability 0.99.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Grid {
@@ -317,15 +318,16 @@ struct Quadrature<D> {
 
 impl<D: Fn([f64; 2]) -> f64> Quadrature<D> {
     fn cell(&mut self, block: Block, places: &mut [[f64; 2]]) -> f64 {
-        // The tolerance needs the cell's probability before it is known; its share of samples will do, as it only sets the effort.
+        // The tolerance needs the cell's probability before it is known; its share of samples will do, as it only sets the
+        // effort.
         let count = places.len() as f64;
         let tolerance = CELL_ERROR * count.max(1.0).sqrt() / self.samples;
         let coarse = self.gauss(block);
         self.refine(block, coarse, places, tolerance, 0)
     }
 
-    /// Subdivides while halving changes the integral, or while it disagrees with the samples inside. The latter finds peaks between
-    /// the nodes; it can only make the integral more accurate, never bring a wrong pdf closer to the samples.
+    /// Subdivides while halving changes the integral, or while it disagrees with the samples inside. The latter finds peaks
+    /// between the nodes; it can only make the integral more accurate, never bring a wrong pdf closer to the samples.
     fn refine(
         &mut self,
         block: Block,

@@ -261,8 +261,8 @@ pub fn enumerate<T>(algorithm: impl FnMut(&mut Enumerator) -> T) -> Vec<Outcome<
     enumerate_stratified(0, algorithm)
 }
 
-/// As [`enumerate`], where [`uniform`](RandomSource::uniform) returns the midpoints of `strata` equal intervals: exact for what is
-/// constant within each interval.
+/// As [`enumerate`], where [`uniform`](RandomSource::uniform) returns the midpoints of `strata` equal intervals: exact for what
+/// is constant within each interval.
 #[must_use]
 pub fn enumerate_stratified<T>(
     strata: u32,

@@ -70,9 +70,10 @@ pub struct MeanTest {
 /// Whether two means differ, with variances that may differ: t = (x̄₁ − x̄₂) / √(v₁ + v₂) with v the variances of the means and
 /// ν = (v₁ + v₂)² / (v₁²/ν₁ + v₂²/ν₂) (Welch 1947).
 ///
-/// Serves samples ([`super::Moments::estimate`]), stored references with few degrees of freedom ([`Estimate::with_variance`]) and known answers
-/// ([`Estimate::exact`], which makes it the one-sample t test). Prefer equal sample counts for heavy-tailed samples: then the false-alarm
-/// rate stays at or below nominal, while the one-sample test's can be a hundred times too high, always towards "too dark".
+/// Serves samples ([`super::Moments::estimate`]), stored references with few degrees of freedom ([`Estimate::with_variance`]) and
+/// known answers ([`Estimate::exact`], which makes it the one-sample t test). Prefer equal sample counts for heavy-tailed
+/// samples: then the false-alarm rate stays at or below nominal, while the one-sample test's can be a hundred times too high,
+/// always towards "too dark".
 #[must_use]
 pub fn welch(a: &Estimate, b: &Estimate) -> MeanTest {
     let difference = a.mean - b.mean;
@@ -205,7 +206,8 @@ pub struct Equivalence {
 /// - pass: the (1 − 2α) interval of b̂ lies within ±δ;
 /// - inconclusive: neither, or the difference is [heavy-tailed](MeanTest::heavy_tailed).
 ///
-/// Where both of the first hold (a small but certain difference, beyond half the margin) it is a fail. A mean that is not finite fails.
+/// Where both of the first hold (a small but certain difference, beyond half the margin) it is a fail. A mean that is not finite
+/// fails.
 #[must_use]
 pub fn equivalence(test: &MeanTest, margin: &Margin) -> Equivalence {
     let interval = test.interval(1.0 - 2.0 * margin.equivalence_alpha);
@@ -349,7 +351,8 @@ mod tests {
 
     #[test]
     fn false_alarms_of_welch_are_at_their_nominal_rate() {
-        // 4000 tests of equal means, variances 1 : 9, counts 8 : 20, alpha 0.05: 200 +- 13.8, 4.5 sigma. The control treats t as normal.
+        // 4000 tests of equal means, variances 1 : 9, counts 8 : 20, alpha 0.05: 200 +- 13.8, 4.5 sigma. The control treats t as
+        // normal.
         let mut stream = Stream::from_key(21);
         let mut normal = move || {
             let u = (f64::from(stream.word()) + 0.5) / 4_294_967_296.0;

@@ -4,8 +4,8 @@ use super::Estimate;
 
 /// Count, mean, and second and third central sums of a sample, in f64 and in one pass.
 ///
-/// Welford's (1962) update, with Chan, Golub and `LeVeque`'s (1983) merge and its third-order form (Pébay 2008, eq. 2.1). Nothing is
-/// trimmed: an outlier belongs to the estimate, and a value that is not finite makes every moment NaN.
+/// Welford's (1962) update, with Chan, Golub and `LeVeque`'s (1983) merge and its third-order form (Pébay 2008, eq. 2.1). Nothing
+/// is trimmed: an outlier belongs to the estimate, and a value that is not finite makes every moment NaN.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Moments {
     count: u64,
@@ -102,12 +102,12 @@ impl FromIterator<f64> for Moments {
     }
 }
 
-/// The mean of a correlated series, with a variance from means over consecutive batches: σ̂² of a batch mean, divided by the number of
-/// batches (Law and Kelton 2000, section 9.5.3).
+/// The mean of a correlated series, with a variance from means over consecutive batches: σ̂² of a batch mean, divided by the
+/// number of batches (Law and Kelton 2000, section 9.5.3).
 ///
 /// Trust it only where a batch is at least 5 to 10 autocorrelation times long: with τ = 41 and 20 batches, a nominal false-alarm
-/// rate of 10⁻³ is 39 times too high at half a τ and 1.4 times at 5 τ. Independent restarts need no such care. A remainder that fills no batch is
-/// left out of the variance and the mean.
+/// rate of 10⁻³ is 39 times too high at half a τ and 1.4 times at 5 τ. Independent restarts need no such care. A remainder that
+/// fills no batch is left out of the variance and the mean.
 ///
 /// # Panics
 ///

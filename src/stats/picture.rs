@@ -7,8 +7,8 @@
 //! | pixel | pixel of a restart | map of p-values, to look at |
 //!
 //! Pixels of one restart are correlated wherever samples are reused, so every variance is across restarts, never across pixels
-//! or frames. Tile means are close to normal where pixels are not (Jung, Hanika, Dachsbacher 2020). Per-pixel tests alone are weak:
-//! at 2·10⁶ samples a 256² picture may be wrong by one standard deviation in every pixel and pass.
+//! or frames. Tile means are close to normal where pixels are not (Jung, Hanika, Dachsbacher 2020). Per-pixel tests alone are
+//! weak: at 2·10⁶ samples a 256² picture may be wrong by one standard deviation in every pixel and pass.
 
 use glam::Vec3;
 
@@ -100,7 +100,8 @@ trait Side {
 
 /// Moments over independent restarts of a picture: of the image, of each tile, of each pixel.
 ///
-/// A restart is a whole run with seeds of its own, judged at one frame. Restarts of the same picture may be gathered apart and [merged](Self::merge).
+/// A restart is a whole run with seeds of its own, judged at one frame. Restarts of the same picture may be gathered apart and
+/// [merged](Self::merge).
 #[derive(Clone, Debug)]
 pub struct Restarts {
     layout: Layout,
@@ -111,8 +112,8 @@ pub struct Restarts {
 }
 
 impl Restarts {
-    /// No restarts yet of a picture of `width` × `height` pixels in square tiles of `tile` pixels (32 is usual, smaller at the borders).
-    /// `mask` is true where a pixel counts.
+    /// No restarts yet of a picture of `width` × `height` pixels in square tiles of `tile` pixels (32 is usual, smaller at the
+    /// borders). `mask` is true where a pixel counts.
     ///
     /// # Errors
     ///
@@ -272,8 +273,9 @@ impl Side for Restarts {
 
 /// A stored picture to compare with: means, and how well they are known.
 ///
-/// Its pixels count as independent (path tracing without reuse). The variance of a pixel's luminance is taken as the largest that its channels
-/// allow, (Σ wᵢ σᵢ)²: channels of one path are strongly correlated, and the stored variance does not tell how strongly.
+/// Its pixels count as independent (path tracing without reuse). The variance of a pixel's luminance is taken as the largest that
+/// its channels allow, (Σ wᵢ σᵢ)²: channels of one path are strongly correlated, and the stored variance does not tell how
+/// strongly.
 #[derive(Clone, Debug)]
 pub struct Reference {
     width: usize,
@@ -414,8 +416,8 @@ impl Side for ReferenceSide<'_> {
 /// When a picture passes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Criteria {
-    /// δ of the image scale as a share of the reference's mean luminance; for a channel, of the larger of that and the channel's mean, so that a dark
-    /// channel need not be known more accurately than the picture.
+    /// δ of the image scale as a share of the reference's mean luminance; for a channel, of the larger of that and the channel's
+    /// mean, so that a dark channel need not be known more accurately than the picture.
     pub delta: f64,
     /// Probability to pass a picture whose bias is exactly δ.
     pub equivalence_alpha: f64,
@@ -447,7 +449,8 @@ pub struct TileTest {
     pub x: usize,
     /// Upper row of the tile.
     pub y: usize,
-    /// Difference of mean luminance, divided by the reference's luminance of this tile (infinite if that is 0 and the difference is not).
+    /// Difference of mean luminance, divided by the reference's luminance of this tile (infinite if that is 0 and the difference
+    /// is not).
     pub relative: f64,
     /// Two-sided p of the difference of luminance.
     pub p: f64,
@@ -460,8 +463,8 @@ pub struct TileTest {
 /// The result of comparing a picture with a reference.
 #[derive(Clone, Debug)]
 pub struct PictureTest {
-    /// Fail if the image or any tile fails or any pixel is not finite; pass if the image scale passes and no tile is rejected. A tile that is
-    /// rejected but heavy-tailed is no proof: inconclusive.
+    /// Fail if the image or any tile fails or any pixel is not finite; pass if the image scale passes and no tile is rejected. A
+    /// tile that is rejected but heavy-tailed is no proof: inconclusive.
     pub verdict: Verdict,
     /// Image scale, mean luminance.
     pub luminance: Equivalence,
@@ -738,8 +741,8 @@ mod tests {
 
     #[test]
     fn false_alarms_stay_at_their_nominal_rate() {
-        // 200 unbiased pictures of 10 restarts, tile_alpha = difference_alpha = 0.05 on luminance: Holm keeps the tiles' family at 5 %, the
-        // image test adds at most 5 %: 20 +- 4.2, upper bound 4.5 sigma.
+        // 200 unbiased pictures of 10 restarts, tile_alpha = difference_alpha = 0.05 on luminance: Holm keeps the tiles' family
+        // at 5 %, the image test adds at most 5 %: 20 +- 4.2, upper bound 4.5 sigma.
         let criteria = Criteria {
             difference_alpha: 0.05,
             tile_alpha: 0.05,
