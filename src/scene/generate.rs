@@ -422,6 +422,57 @@ mod tests {
     }
 
     #[test]
+    fn every_number_gives_a_valid_scene() {
+        for n in [1, 999, 20_000] {
+            many_lights(n, 9).validate().unwrap();
+        }
+    }
+
+    #[cfg(feature = "load")]
+    #[test]
+    fn all_scenes_of_the_repository_load() {
+        use crate::scene::load::load;
+        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes");
+        let read = |name: &str| {
+            let loaded =
+                load(&folder.join(name).with_extension("pbrt")).unwrap_or_else(|e| panic!("{e}"));
+            assert!(loaded.warnings.is_empty(), "{name}: {:?}", loaded.warnings);
+            loaded.scene
+        };
+        for (name, emitters) in [
+            ("cornell", 1),
+            ("furnace", 1),
+            ("penumbra", 1),
+            ("plates", 4),
+            ("slit", 1),
+            ("glass", 1),
+            ("moving", 2),
+        ] {
+            let scene = read(name);
+            let found =
+                scene.objects.iter().flat_map(|o| &o.shapes).filter(|s| s.emission.is_some());
+            assert_eq!(found.count(), emitters, "{name}");
+            assert_eq!(scene.moves(), name == "moving", "{name}");
+        }
+        assert_eq!(read("moving").time, [0.0, 1.0]);
+        // The file holds the generated scene: the same camera, film, depth and lights.
+        let (file, made) = (read("many_lights"), many_lights(1000, 1));
+        assert_eq!((file.film, file.depth), (made.film, made.depth));
+        let difference = file.camera.to_world.fixed().inverse() * made.camera.to_world.fixed();
+        assert!(difference.abs_diff_eq(Affine3A::IDENTITY, 1e-5), "{difference}");
+        let of_file: Vec<&Shape> =
+            file.objects.iter().flat_map(|o| &o.shapes).filter(|s| s.emission.is_some()).collect();
+        assert_eq!(of_file.len(), 1000);
+        for (a, b) in of_file.into_iter().zip(lights(&made)) {
+            let (a, b) = (a.emission.unwrap(), b.emission.unwrap());
+            let (Color::Constant(x), Color::Constant(y)) = (a.radiance, b.radiance) else {
+                panic!()
+            };
+            assert!((x * a.scale).abs_diff_eq(y, 1e-6 * y.max_element()), "{x} {y}");
+        }
+    }
+
+    #[test]
     fn positions_print_short() {
         let text = generate_pbrt("many-lights:1000:3").unwrap();
         let longest = text.lines().filter(|l| l.contains("AreaLight")).map(str::len).max().unwrap();

@@ -181,6 +181,7 @@ impl Builder<'_> {
             let key = u64::MAX;
             self.scene.lights.push(Light { to_world: Transform::IDENTITY, kind, key });
         }
+        self.scene.validate()?;
         Ok(Loaded { scene: self.scene, warnings: self.warnings.into_vec() })
     }
 
