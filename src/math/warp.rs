@@ -235,3 +235,151 @@ pub fn uniform_triangle_pdf(area: f32) -> f32 {
 pub fn invert_uniform_triangle(b: Vec3) -> Vec2 {
     if b.y > b.x { Vec2::new(2.0 * b.x, b.x + b.y) } else { Vec2::new(b.x + b.y, 2.0 * b.y) }
 }
+
+#[cfg(test)]
+mod tests {
+    //! Statistical tests: fixed seeds, α = 10⁻⁶; 5·10⁵ samples on 20 × 20 cells show a relative density error of 2.3 % (rms) with
+    //! probability 0.99, and 0.1 % of the integral. Each has a control.
+
+    use super::*;
+    use crate::math::rng::{RandomSource, Stream};
+    use crate::stats::{Grid, check_sphere, check_square};
+
+    const ALPHA: f64 = 1e-6;
+    const GRID: Grid = Grid::new(20, 20, 500_000);
+
+    fn draws(seed: u64) -> impl FnMut() -> Vec2 {
+        let mut stream = Stream::from_key(seed);
+        move || Vec2::new(stream.uniform(), stream.uniform())
+    }
+
+    #[test]
+    fn sine_and_cosine_are_precise_at_all_turns() {
+        for i in 0..=100_000u32 {
+            let turn = i as f32 / 100_000.0;
+            let (s, c) = sin_cos_turn(turn);
+            let (es, ec) = (f64::from(turn) * std::f64::consts::TAU).sin_cos();
+            assert!((f64::from(s) - es).abs() < 1.5e-7 && (f64::from(c) - ec).abs() < 1.5e-7);
+        }
+    }
+
+    #[test]
+    fn directions_follow_their_densities() {
+        let mut next = draws(1);
+        let check =
+            check_sphere(GRID, || Some(sample_cosine_hemisphere(next())), cosine_hemisphere_pdf);
+        assert!(check.agrees(ALPHA), "cosine: {check}");
+        let check =
+            check_sphere(GRID, || Some(sample_uniform_hemisphere(next())), uniform_hemisphere_pdf);
+        assert!(check.agrees(ALPHA), "hemisphere: {check}");
+        let check =
+            check_sphere(GRID, || Some(sample_uniform_sphere(next())), |_| uniform_sphere_pdf());
+        assert!(check.agrees(ALPHA), "sphere: {check}");
+        for edge in [2.0f32, 0.3, 1e-3] {
+            let check = check_sphere(
+                GRID,
+                || Some(sample_uniform_cone(edge, next())),
+                |d| {
+                    let inside = invert_uniform_cone(edge, d).is_some();
+                    if inside { uniform_cone_pdf(edge) } else { 0.0 }
+                },
+            );
+            assert!(check.agrees(ALPHA), "cone {edge}: {check}");
+        }
+    }
+
+    #[test]
+    fn points_follow_their_densities() {
+        let mut next = draws(2);
+        let check = check_square(
+            GRID,
+            || Some(0.5 * (sample_disk(next()) + 1.0)),
+            |p| 4.0 * disk_pdf(2.0 * p - 1.0),
+        );
+        assert!(check.agrees(ALPHA), "disk: {check}");
+        let check = check_square(
+            GRID,
+            || {
+                let b = sample_uniform_triangle(next());
+                Some(Vec2::new(b.x, b.y))
+            },
+            |p| if p.x + p.y <= 1.0 + 1e-6 { uniform_triangle_pdf(0.5) } else { 0.0 },
+        );
+        assert!(check.agrees(ALPHA), "triangle: {check}");
+    }
+
+    #[test]
+    fn planted_errors_are_found() {
+        let mut next = draws(3);
+        let mut check = |pdf: &dyn Fn(Vec3) -> f32| {
+            check_sphere(GRID, || Some(sample_cosine_hemisphere(next())), pdf).agrees(ALPHA)
+        };
+        assert!(!check(&|d| 1.01 * cosine_hemisphere_pdf(d)), "1 % too large");
+        assert!(!check(&uniform_hemisphere_pdf), "no cosine");
+        assert!(!check(&|d| cosine_hemisphere_pdf(d) * (1.0 + 0.05 * d.x)), "a tilt of 5 %");
+    }
+
+    #[test]
+    fn inverses_undo_samples() {
+        let mut next = draws(4);
+        let near = |name: &str, a: Vec2, b: Vec2, tolerance: f32| {
+            let mut error = (a - b).abs();
+            // Azimuths wrap.
+            error = error.min((Vec2::ONE - error).abs());
+            assert!(error.max_element() < tolerance, "{name}: {a} {b}");
+        };
+        for _ in 0..20_000 {
+            let u = next();
+            near("disk", invert_disk(sample_disk(u)), u, 3e-6);
+            near("cosine", invert_cosine_hemisphere(sample_cosine_hemisphere(u)), u, 3e-6);
+            // Azimuth is lost where the radius is.
+            let azimuth = 3e-7 / u.x.sqrt().min((1.0 - u.x).sqrt()).max(1e-3) + 3e-7;
+            let sphere = invert_uniform_sphere(sample_uniform_sphere(u));
+            near("sphere", sphere, u, azimuth + 1e-6);
+            let hemisphere = invert_uniform_hemisphere(sample_uniform_hemisphere(u));
+            near("hemisphere", hemisphere, u, azimuth + 1e-6);
+            near("triangle", invert_uniform_triangle(sample_uniform_triangle(u)), u, 3e-7);
+            for edge in [2.0f32, 0.1, 1e-6, 1e-12] {
+                let cone = invert_uniform_cone(edge, sample_uniform_cone(edge, u)).unwrap();
+                near("cone", cone, u, azimuth + 2e-6);
+            }
+        }
+        assert_eq!(invert_disk(Vec2::ZERO), Vec2::splat(0.5 * CENTRED_ONE));
+    }
+
+    #[test]
+    fn corners_of_the_square_stay_inside() {
+        let last = 1.0 - 2.0 * HALF_STEP;
+        for x in [0.0, 0.5, last] {
+            for y in [0.0, 0.5, last] {
+                let u = Vec2::new(x, y);
+                let d = sample_cosine_hemisphere(u);
+                assert!(d.z > 0.0 && d.is_normalized(), "{u}: {d}");
+                assert!(sample_uniform_sphere(u).is_normalized());
+                let b = sample_uniform_triangle(u);
+                assert!(b.min_element() >= 0.0 && (b.element_sum() - 1.0).abs() < 1e-6);
+                for d in [d, sample_uniform_cone(2.0, u), sample_uniform_hemisphere(u)] {
+                    let back = [invert_cosine_hemisphere(d), invert_uniform_hemisphere(d)];
+                    assert!(back.iter().all(|b| (0.0..1.0).contains(&b.x)), "{u} {back:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn stable_cone_matches_its_opening() {
+        // All of a cone of 10⁻⁶ rad is inside of it, and its mean of sin²/(2 (1 − cos θ_max)) is 1/2.
+        let edge = 5e-13;
+        let mut next = draws(5);
+        let n = 100_000;
+        let mean = (0..n)
+            .map(|_| {
+                let d = sample_uniform_cone(edge, next());
+                f64::from(d.x * d.x + d.y * d.y) / (2.0 * f64::from(edge))
+            })
+            .sum::<f64>()
+            / f64::from(n);
+        // 5 standard errors.
+        assert!((mean - 0.5).abs() < 5.0 * 0.2887 / f64::from(n).sqrt(), "{mean}");
+    }
+}

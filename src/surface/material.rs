@@ -2,8 +2,8 @@
 
 use glam::{Vec2, Vec3};
 
-use super::bsdf::Bsdf;
-use crate::scene::{Color, ConductorColor, Material, MaterialId, Roughness, Scene};
+use super::bsdf::{Bsdf, MetallicRoughness};
+use crate::scene::{Color, ConductorColor, Material, MaterialId, Roughness, Scalar, Scene};
 
 /// The lobes of a material at texture coordinates.
 ///
@@ -47,13 +47,46 @@ fn unmixed(scene: &Scene, material: &Material, uv: Vec2) -> Bsdf {
                 ConductorColor::Reflectance(color) => Bsdf::metal(albedo(scene, color, uv), alpha),
             }
         }
-        _ => Bsdf::diffuse(Vec3::splat(0.5)),
+        Material::Dielectric { eta, roughness } => {
+            Bsdf::dielectric(eta, alpha(scene, roughness, uv))
+        }
+        Material::ThinDielectric { eta } => Bsdf::thin_dielectric(eta),
+        Material::CoatedDiffuse { reflectance, eta, roughness } => {
+            Bsdf::coated_diffuse(albedo(scene, reflectance, uv), eta, alpha(scene, roughness, uv))
+        }
+        Material::MetallicRoughness {
+            base_color,
+            metallic,
+            roughness,
+            ior,
+            specular,
+            specular_color,
+            transmission,
+            double_sided,
+        } => Bsdf::metallic_roughness(&MetallicRoughness {
+            base_color: albedo(scene, base_color, uv),
+            metallic: share(scene, metallic, uv),
+            roughness: share(scene, roughness, uv),
+            ior,
+            specular: share(scene, specular, uv),
+            specular_color: scene.color(specular_color, uv).max(Vec3::ZERO),
+            transmission: share(scene, transmission, uv),
+            double_sided,
+        }),
+        // Validation refuses a mix of mixes.
+        Material::Mix { .. } => Bsdf::diffuse(Vec3::ZERO),
     }
 }
 
 #[inline]
 fn albedo(scene: &Scene, color: Color, uv: Vec2) -> Vec3 {
     scene.color(color, uv).clamp(Vec3::ZERO, Vec3::ONE)
+}
+
+/// A number in [0, 1].
+#[inline]
+fn share(scene: &Scene, scalar: Scalar, uv: Vec2) -> f32 {
+    scene.scalar(scalar, uv).clamp(0.0, 1.0)
 }
 
 /// α along both tangents.

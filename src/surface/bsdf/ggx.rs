@@ -40,10 +40,28 @@ impl Ggx {
         (alpha.max_element() >= SMOOTH).then(|| Self { alpha: alpha.max(Vec2::splat(NARROWEST)) })
     }
 
+    /// An isotropic surface down to α = 10⁻⁴.
+    pub(super) fn nearly_smooth(alpha: f32) -> Option<Self> {
+        (alpha >= NARROWEST).then(|| Self { alpha: Vec2::splat(alpha) })
+    }
+
     /// The smaller α.
     #[inline]
     pub(super) fn min_alpha(&self) -> f32 {
         self.alpha.min_element()
+    }
+
+    /// The isotropic α of the same area: √(α_x α_y).
+    #[inline]
+    pub(super) fn mean_alpha(&self) -> f32 {
+        (self.alpha.x * self.alpha.y).sqrt()
+    }
+
+    /// G₂(o, i)/G₁(o), the weight of a reflection off a visible normal for F = 1; in [0, 1].
+    #[inline]
+    pub(super) fn shadowing(&self, wo: Vec3, wi: Vec3) -> f32 {
+        let (o, i) = (self.stretched(wo), self.stretched(wi));
+        wi.z * (wo.z + o) / (o * wi.z + i * wo.z)
     }
 
     /// D(h) for a unit h: 1/(π α_x α_y ((h_x/α_x)² + (h_y/α_y)² + h_z²)²).

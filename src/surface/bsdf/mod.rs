@@ -14,17 +14,26 @@
 //!
 //! Both sides: opaque surfaces reflect on the side of `wo`. At o_z = 0 or i_z = 0 everything is zero. Surfaces with α < 10⁻³ are deltas (as in pbrt-v4).
 
+mod coated;
 mod conductor;
+mod dielectric;
 mod fresnel;
 mod ggx;
+mod interface;
 mod lambert;
+mod metallic;
 
 use glam::{Vec2, Vec3};
 
 use crate::math::rng::unit_float;
+use coated::Coated;
 use conductor::Conductor;
+use dielectric::{Dielectric, ThinDielectric};
 use ggx::Ggx;
 use lambert::{Diffuse, DiffuseTransmission};
+use metallic::Metallic;
+
+pub use metallic::MetallicRoughness;
 
 /// A material evaluated at a point: up to 6 lobes.
 #[derive(Clone, Copy, Debug)]
@@ -73,6 +82,10 @@ trait Lobes {
     fn is_delta(&self, lobe: u32) -> bool;
     /// Whether no light leaves in any direction.
     fn is_black(&self) -> bool;
+    /// Whether any lobe with light is not a delta.
+    fn has_non_delta(&self) -> bool {
+        (0..self.count()).any(|lobe| !self.is_delta(lobe))
+    }
     /// Probability of choosing the lobe; they sum to 1, and any lobe with a value has one.
     fn probability(&self, lobe: u32, wo: Vec3) -> f32;
     /// Sums over those of `lobes` that are not deltas; the density is joint.
@@ -132,6 +145,10 @@ enum Part {
     Diffuse(Diffuse),
     DiffuseTransmission(DiffuseTransmission),
     Conductor(Conductor),
+    Dielectric(Dielectric),
+    ThinDielectric(ThinDielectric),
+    Coated(Coated),
+    Metallic(Metallic),
 }
 
 macro_rules! each_part {
@@ -140,6 +157,10 @@ macro_rules! each_part {
             Part::Diffuse($lobes) => $result,
             Part::DiffuseTransmission($lobes) => $result,
             Part::Conductor($lobes) => $result,
+            Part::Dielectric($lobes) => $result,
+            Part::ThinDielectric($lobes) => $result,
+            Part::Coated($lobes) => $result,
+            Part::Metallic($lobes) => $result,
         }
     };
 }
@@ -204,6 +225,12 @@ impl Lobes for Mix {
     fn is_black(&self) -> bool {
         (0..2).all(|i| {
             self.weights[i] == 0.0 || each_part!(&self.parts[i], lobes => lobes.is_black())
+        })
+    }
+
+    fn has_non_delta(&self) -> bool {
+        (0..2).any(|i| {
+            self.weights[i] > 0.0 && each_part!(&self.parts[i], lobes => lobes.has_non_delta())
         })
     }
 
@@ -353,6 +380,34 @@ impl Bsdf {
         Self::one(Part::Conductor(Conductor::from_reflectance(color, Ggx::new(alpha))))
     }
 
+    /// Glass of index `eta` inside over outside: reflection (lobe 0) and refraction (lobe 1), deltas where both `alpha` are below 10⁻³.
+    #[inline]
+    #[must_use]
+    pub fn dielectric(eta: f32, alpha: Vec2) -> Self {
+        Self::one(Part::Dielectric(Dielectric::new(eta, alpha)))
+    }
+
+    /// A thin pane of index `eta`: mirrored (lobe 0) or straight through (lobe 1).
+    #[inline]
+    #[must_use]
+    pub fn thin_dielectric(eta: f32) -> Self {
+        Self::one(Part::ThinDielectric(ThinDielectric { eta }))
+    }
+
+    /// A dielectric coat of index `eta` >= 1 (lobe 0) over a Lambert base (lobe 1): an analytic plastic.
+    #[inline]
+    #[must_use]
+    pub fn coated_diffuse(reflectance: Vec3, eta: f32, alpha: Vec2) -> Self {
+        Self::one(Part::Coated(Coated::new(reflectance, eta, alpha)))
+    }
+
+    /// glTF's metallic-roughness surface: specular (lobe 0), diffuse (lobe 1), thin-walled transmission (lobe 2).
+    #[inline]
+    #[must_use]
+    pub fn metallic_roughness(parameters: &MetallicRoughness) -> Self {
+        Self::one(Part::Metallic(Metallic::new(parameters)))
+    }
+
     /// `1 − amount` of the first and `amount` of the second one's light. `None` where either is itself a mix.
     #[must_use]
     pub fn mix(first: &Self, second: &Self, amount: f32) -> Option<Self> {
@@ -382,7 +437,7 @@ impl Bsdf {
     #[inline]
     #[must_use]
     pub fn has_non_delta(&self) -> bool {
-        each!(self, lobes => (0..lobes.count()).any(|lobe| !lobes.is_delta(lobe)))
+        each!(self, lobes => lobes.has_non_delta())
     }
 
     /// Whether no light leaves in any direction: neither light sampling nor scattering can contribute.
@@ -453,3 +508,6 @@ impl Bsdf {
         each!(self, lobes => lobes.roughness())
     }
 }
+
+#[cfg(test)]
+mod tests;
