@@ -179,7 +179,7 @@ impl Scene {
                         self.check_color("k", k, f32::MAX)?;
                     }
                     ConductorColor::Reflectance(reflectance) => {
-                        self.check_color("reflectance", reflectance, 1.0)?
+                        self.check_color("reflectance", reflectance, 1.0)?;
                     }
                 }
                 self.check_roughness(roughness)

@@ -2,5 +2,6 @@
 //! control that must fail.
 
 mod layering;
+mod loaders;
 #[expect(dead_code, reason = "used by modules as they land")]
 mod support;

@@ -107,7 +107,7 @@ fn check_count(element: &ElementDef, encoding: Encoding, bytes: usize) -> Result
         }
     };
     // The last line may lack its end.
-    let holds = if least == 0 { 0 } else { (bytes + 1) / least };
+    let holds = (bytes + 1).checked_div(least).unwrap_or(0);
     if element.count <= holds {
         return Ok(());
     }

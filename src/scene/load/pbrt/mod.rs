@@ -20,6 +20,7 @@ mod texture;
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 use std::sync::Arc;
 
 use glam::{DAffine3, DMat3, DMat4, DVec3, DVec4};
@@ -103,7 +104,7 @@ struct State {
     /// Which ends transformations change.
     active: [bool; 2],
     surface: Surface,
-    area_light: Option<Arc<Params>>,
+    area_light: Option<Rc<Params>>,
     reverse_orientation: bool,
     defaults: Defaults,
 }
@@ -233,7 +234,7 @@ impl Builder {
             match token.kind {
                 Kind::End => break,
                 Kind::Word(directive) => {
-                    self.directive(directive, &place, &mut file).map_err(|e| place.put(e))?
+                    self.directive(directive, &place, &mut file).map_err(|e| place.put(e))?;
                 }
                 other => {
                     return place.syntax(format!(
@@ -387,7 +388,7 @@ impl Builder {
                 }
                 self.check_area_light(&params)?;
                 params.finish(&mut self.warnings);
-                self.state.area_light = Some(Arc::new(params));
+                self.state.area_light = Some(Rc::new(params));
             }
             "LightSource" => {
                 let (kind, params) = file.params(directive, place, &self.state.defaults.light)?;

@@ -30,6 +30,17 @@ const METALS: [(&str, [f32; 3], [f32; 3]); 6] = [
     ("TiO2", [3.45661, 2.80174, 2.90517], [0.000_105_265, 0.0, 0.000_652_887]),
 ];
 
+/// Names of glasses with their index at 587.6 nm, interpolated in pbrt-v4's tables (of refractiveindex.info).
+const GLASSES: [(&str, f64); 7] = [
+    ("glass-BK7", 1.516_801),
+    ("glass-BAF10", 1.669_999),
+    ("glass-FK51A", 1.486_558),
+    ("glass-LASF9", 1.850_263),
+    ("glass-F5", 1.672_718),
+    ("glass-F10", 1.728_279),
+    ("glass-F11", 1.784_737),
+];
+
 /// Names of all spectra that are known, for messages.
 fn known(role: Role) -> Vec<String> {
     match role {
@@ -55,7 +66,7 @@ pub(super) fn rgb(param: &Param, role: Role) -> Result<Vec3> {
         (Type::Float, _) => DVec3::splat(param.single()?.numbers()[0]),
         (Type::Blackbody, _) => {
             let kelvin = param.single()?.numbers()[0];
-            if !(kelvin > 0.0) {
+            if kelvin <= 0.0 {
                 return param
                     .place
                     .invalid(format!("`{}` is {kelvin} kelvin; allowed: more than 0", param.name));
@@ -94,11 +105,16 @@ pub(super) fn index_at_d(param: &Param) -> Result<f64> {
     match &param.values {
         Values::Numbers(_) => Ok(List::new(param)?.at(587.6, true)),
         _ => {
-            let message = format!(
-                "`{}` is a named spectrum; allowed: a float, or a list of wavelengths and indices",
-                param.name
-            );
-            param.place.unsupported(message)
+            let name = param.text()?;
+            if let Some((_, eta)) = GLASSES.iter().find(|(glass, _)| *glass == name) {
+                return Ok(*eta);
+            }
+            let known = suggest(&shorten(name), &GLASSES.map(|(glass, _)| glass));
+            param.place.unsupported(format!(
+                "`{}` names the spectrum \"{}\"; {known}",
+                param.name,
+                shorten(name)
+            ))
         }
     }
 }
