@@ -184,7 +184,7 @@ impl<'p> List<'p> {
     fn at(&self, nm: f64, extend: bool) -> f64 {
         let count = self.0.len() / 2;
         let pair = |i: usize| (self.0[2 * i], self.0[2 * i + 1]);
-        let next = (0..count).collect::<Vec<_>>().partition_point(|i| pair(*i).0 <= nm);
+        let next = self.0.chunks_exact(2).take_while(|pair| pair[0] <= nm).count();
         if next == 0 {
             return if extend { pair(0).1 } else { 0.0 };
         }
