@@ -119,9 +119,9 @@ pub fn approximate_vmf_kappa(one_minus_r: f32) -> f32 {
     let d = one_minus_r;
     let r = 1.0 - d;
     let kappa = r * (3.0 - r * r) / (d * (2.0 - d));
-    // Also 1/0 at d = 0; f32::min and max drop a NaN.
+    // d > 0 keeps κ from being NaN.
     if d > 0.0 {
-        kappa.max(0.0).min(MAX_KAPPA)
+        kappa.clamp(0.0, MAX_KAPPA)
     } else if d <= 0.0 {
         MAX_KAPPA
     } else {
