@@ -22,7 +22,7 @@ const GROUP: usize = 64;
 /// More boxes with one centre than this are not given to obvhs.
 const CONCENTRIC: usize = 1024;
 /// Traversal stacks hold 7 entries a level of a compressed tree, 1 of a binary one.
-pub(super) const STACK: usize = 256;
+pub(super) const STACK: usize = 128;
 const MAX_DEPTH_CWBVH: usize = (STACK - 1) / 7;
 const MAX_DEPTH_BVH2: usize = STACK - 1;
 

@@ -208,8 +208,6 @@ pub struct Accel {
     bottoms: Vec<Arc<Bottom>>,
     placements: Vec<Placement>,
     top: Option<Top>,
-    /// Whether the long stack is needed.
-    deep: bool,
     #[cfg(target_arch = "x86_64")]
     simd: Option<V3>,
     options: BuildOptions,
@@ -291,15 +289,10 @@ impl Accel {
                     .sum::<usize>(),
             two_level,
         };
-        let entries = match options.layout {
-            Layout::Cwbvh => 7 * report.depth + 1,
-            Layout::Bvh2 => report.depth + 1,
-        };
         Ok(Self {
             bottoms,
             placements,
             top,
-            deep: entries > query::SHORT_STACK,
             #[cfg(target_arch = "x86_64")]
             simd: if options.portable { None } else { V3::try_new() },
             options: *options,

@@ -130,28 +130,38 @@ pub(super) fn children_portable(node: &CwBvhNode, ray: &BoxRay, t_max: f32) -> C
     (mask, near)
 }
 
-/// All eight children at once.
+/// `q b + at` for eight quantised planes.
+#[cfg(target_arch = "x86_64")]
+#[inline(always)]
+fn plane(simd: V3, q: [u8; 8], b: f32, at: f32) -> std::arch::x86_64::__m256 {
+    let q = simd.sse2._mm_set_epi64x(0, i64::from_le_bytes(q));
+    let q = simd.avx._mm256_cvtepi32_ps(simd.avx2._mm256_cvtepu8_epi32(q));
+    simd.fma._mm256_fmadd_ps(q, simd.avx._mm256_set1_ps(b), simd.avx._mm256_set1_ps(at))
+}
+
+/// All eight children at once. No closures: they would be compiled without the vector instructions.
 #[cfg(target_arch = "x86_64")]
 #[inline(always)]
 pub(super) fn children_avx2(simd: V3, node: &CwBvhNode, ray: &BoxRay, t_max: f32) -> Children {
-    use std::arch::x86_64::{__m256, _CMP_LE_OQ};
-    let (sse2, avx, avx2, fma) = (simd.sse2, simd.avx, simd.avx2, simd.fma);
+    use std::arch::x86_64::_CMP_LE_OQ;
+    let (sse2, avx) = (simd.sse2, simd.avx);
     let (b, low, high) = ray.planes(node);
     let bytes: &[[u8; 8]; 10] = bytemuck::cast_ref(node);
-    let widen = |row: usize| -> __m256 {
-        let row = i64::from_le_bytes(bytes[row]);
-        avx._mm256_cvtepi32_ps(avx2._mm256_cvtepu8_epi32(sse2._mm_set_epi64x(0, row)))
-    };
-    let splat = |value: f32| avx._mm256_set1_ps(value);
-    let plane = |row: usize, b: f32, at: f32| fma._mm256_fmadd_ps(widen(row), splat(b), splat(at));
-    let [sx, sy, sz] = ray.negative.map(|s| s & 1);
+    let [sx, sy, sz] = ray.negative;
+    let (sx, sy, sz) = (sx & 1, sy & 1, sz & 1);
     let near = avx._mm256_max_ps(
-        avx._mm256_max_ps(plane(4 + sx, b.x, low.x), plane(6 + sy, b.y, low.y)),
-        avx._mm256_max_ps(plane(8 + sz, b.z, low.z), splat(0.0)),
+        avx._mm256_max_ps(
+            plane(simd, bytes[4 + sx], b.x, low.x),
+            plane(simd, bytes[6 + sy], b.y, low.y),
+        ),
+        avx._mm256_max_ps(plane(simd, bytes[8 + sz], b.z, low.z), avx._mm256_set1_ps(0.0)),
     );
     let far = avx._mm256_min_ps(
-        avx._mm256_min_ps(plane(5 - sx, b.x, high.x), plane(7 - sy, b.y, high.y)),
-        avx._mm256_min_ps(plane(9 - sz, b.z, high.z), splat(t_max)),
+        avx._mm256_min_ps(
+            plane(simd, bytes[5 - sx], b.x, high.x),
+            plane(simd, bytes[7 - sy], b.y, high.y),
+        ),
+        avx._mm256_min_ps(plane(simd, bytes[9 - sz], b.z, high.z), avx._mm256_set1_ps(t_max)),
     );
     let hit = avx._mm256_movemask_ps(avx._mm256_cmp_ps::<_CMP_LE_OQ>(near, far)) as u32;
     let meta = sse2._mm_set_epi64x(0, i64::from_le_bytes(bytes[3]));

@@ -11,9 +11,6 @@ use super::traverse::{Kernel, Portable, Scaled, Visitor, scale, traverse};
 use super::triangle::{Kind, TriangleRay};
 use super::{Accel, Bottom, Hit, HitFilter, Ray};
 
-/// Entries of the stack that nearly every tree does with: clearing it costs time on every ray.
-pub(super) const SHORT_STACK: usize = 64;
-
 impl Accel {
     /// The hit with the least t in (0, `ray.t_max`) that `filter` accepts; among hits at the very same t, the first in the scene's order.
     ///
@@ -96,20 +93,6 @@ fn run<K: Kernel, F: HitFilter, const ANY: bool>(
     ray: &Ray,
     filter: &F,
 ) -> Option<Hit> {
-    if accel.deep {
-        run_with_stack::<STACK, K, F, ANY>(kernel, accel, ray, filter)
-    } else {
-        run_with_stack::<SHORT_STACK, K, F, ANY>(kernel, accel, ray, filter)
-    }
-}
-
-#[inline(always)]
-fn run_with_stack<const N: usize, K: Kernel, F: HitFilter, const ANY: bool>(
-    kernel: K,
-    accel: &Accel,
-    ray: &Ray,
-    filter: &F,
-) -> Option<Hit> {
     let scaled = scale(ray)?;
     let t_max = scaled.t_max;
     let query = Query::<F, ANY> {
@@ -125,14 +108,14 @@ fn run_with_stack<const N: usize, K: Kernel, F: HitFilter, const ANY: bool>(
     let mut query = query;
     if let Some(top) = &accel.top {
         let boxes = BoxRay::new(origin, direction, top.tree.reach(), false);
-        let mut instances = Instances::<N, F, ANY> { query: &mut query, order: &top.order };
-        traverse::<N, K, _>(kernel, &top.tree, &boxes, &mut instances);
+        let mut instances = Instances::<F, ANY> { query: &mut query, order: &top.order };
+        traverse::<STACK, K, _>(kernel, &top.tree, &boxes, &mut instances);
     } else {
         let bottom = &*accel.bottoms[0];
         let boxes = BoxRay::new(origin, direction, bottom.tree.reach(), false);
         let mut primitives =
             Primitives::new(&mut query, bottom, None, (origin.as_dvec3(), direction.as_dvec3()));
-        traverse::<N, K, _>(kernel, &bottom.tree, &boxes, &mut primitives);
+        traverse::<STACK, K, _>(kernel, &bottom.tree, &boxes, &mut primitives);
     }
     query.best
 }
@@ -225,7 +208,10 @@ impl<'q, 'a, F: HitFilter, const ANY: bool> Primitives<'q, 'a, F, ANY> {
                 return false;
             }
         }
-        let instance = self.instance.unwrap_or_else(|| self.bottom.cold[number as usize].instance);
+        let instance = match self.instance {
+            Some(instance) => instance,
+            None => self.bottom.cold[number as usize].instance,
+        };
         self.query.offer(t, u as f32, v as f32, number, instance) && ANY
     }
 
@@ -288,27 +274,34 @@ impl<K: Kernel, F: HitFilter, const ANY: bool> Visitor<K> for Primitives<'_, '_,
 
     #[inline(always)]
     fn leaf(&mut self, kernel: K, first: u32, count: u32) -> bool {
-        if !self.bottom.mixed {
-            return (first..first + count).any(|number| self.triangle(kernel, number));
-        }
-        (first..first + count).any(|number| {
+        // Loops, not closures: what the compiler leaves outside of the vectorised function loses its instructions.
+        for number in first..first + count {
+            if !self.bottom.mixed {
+                if self.triangle(kernel, number) {
+                    return true;
+                }
+                continue;
+            }
             let slot = &self.bottom.slots[number as usize];
-            let (start, count) =
+            let (start, members) =
                 if slot.kind() == Kind::Group { slot.range() } else { (number, 1) };
-            (start..start + count).any(|number| self.single(kernel, number))
-        })
+            for member in start..start + members {
+                if self.single(kernel, member) {
+                    return true;
+                }
+            }
+        }
+        false
     }
 }
 
 /// The leaves of the tree over instances.
-struct Instances<'q, 'a, const N: usize, F, const ANY: bool> {
+struct Instances<'q, 'a, F, const ANY: bool> {
     query: &'q mut Query<'a, F, ANY>,
     order: &'a [u32],
 }
 
-impl<const N: usize, K: Kernel, F: HitFilter, const ANY: bool> Visitor<K>
-    for Instances<'_, '_, N, F, ANY>
-{
+impl<K: Kernel, F: HitFilter, const ANY: bool> Visitor<K> for Instances<'_, '_, F, ANY> {
     const ANY: bool = ANY;
 
     #[inline(always)]
@@ -333,7 +326,7 @@ impl<const N: usize, K: Kernel, F: HitFilter, const ANY: bool> Visitor<K>
                 BoxRay::new(origin32, direction32, bottom.tree.reach(), !placement.identity);
             let mut primitives =
                 Primitives::new(self.query, bottom, Some(instance), (origin, direction));
-            if traverse::<N, K, _>(kernel, &bottom.tree, &boxes, &mut primitives) {
+            if traverse::<STACK, K, _>(kernel, &bottom.tree, &boxes, &mut primitives) {
                 return true;
             }
         }

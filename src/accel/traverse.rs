@@ -164,8 +164,9 @@ fn bvh2<const STACK: usize, K: Kernel, V: Visitor<K>>(
         } else {
             let (left, right) = (node.first_index, node.first_index + 1);
             let limit = visitor.limit();
-            let hits = [left, right].map(|i| ray.bvh2(&nodes[i as usize], limit));
-            next = match hits {
+            let a = ray.bvh2(&nodes[left as usize], limit);
+            let b = ray.bvh2(&nodes[right as usize], limit);
+            next = match [a, b] {
                 [Some(a), Some(b)] => {
                     let (first, later) =
                         if a <= b { (left, (right, b)) } else { (right, (left, a)) };

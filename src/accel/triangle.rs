@@ -150,14 +150,18 @@ impl TriangleRay {
         }
         let inverse = 1.0 / det;
         let t = (e[0] * z[0] + e[1] * z[1] + e[2] * z[2]) * (self.shear[2] * inverse);
-        let largest = |a: &[f64; 4]| a[0].abs().max(a[1].abs()).max(a[2].abs());
         const BOUND: f64 = 1.0 / (1_u64 << 47) as f64;
         let delta = BOUND
             * largest(z)
             * (largest(x) * largest(y) + det.abs())
             * (self.shear[2] * inverse).abs();
-        (t > delta).then_some((t, e[1] * inverse, e[2] * inverse))
+        if t > delta { Some((t, e[1] * inverse, e[2] * inverse)) } else { None }
     }
+}
+
+#[inline(always)]
+fn largest(a: &[f64; 4]) -> f64 {
+    a[0].abs().max(a[1].abs()).max(a[2].abs())
 }
 
 /// The edge test, one lane at a time. `None`: the ray passes outside.
@@ -176,23 +180,24 @@ pub(super) fn edges_portable(slot: &Slot, ray: &TriangleRay) -> Option<Edges> {
     (negative != positive).then_some(Edges { e, x, y, z })
 }
 
-/// [`edges_portable`] with the three vertices in the lanes of one register: same operations, same bits.
+/// [`edges_portable`] with the three vertices in the lanes of one register: same operations, same bits. No closures: they would be
+/// compiled without the vector instructions.
 #[cfg(target_arch = "x86_64")]
 #[inline(always)]
 pub(super) fn edges_avx2(simd: V3, slot: &Slot, ray: &TriangleRay) -> Option<Edges> {
     use std::arch::x86_64::{_CMP_GT_OQ, _CMP_LT_OQ};
     let (avx, avx2) = (simd.avx, simd.avx2);
     let [i, j, k] = ray.axes;
-    let relative = |axis: usize, origin: f64| {
-        avx._mm256_sub_pd(
-            avx._mm256_cvtps_pd(bytemuck::cast(slot.0[axis])),
-            avx._mm256_set1_pd(origin),
-        )
-    };
-    let z = relative(k, ray.origin[2]);
-    let shear = |a, s: f64| avx._mm256_sub_pd(a, avx._mm256_mul_pd(avx._mm256_set1_pd(s), z));
-    let x = shear(relative(i, ray.origin[0]), ray.shear[0]);
-    let y = shear(relative(j, ray.origin[1]), ray.shear[1]);
+    let origin = [
+        avx._mm256_set1_pd(ray.origin[0]),
+        avx._mm256_set1_pd(ray.origin[1]),
+        avx._mm256_set1_pd(ray.origin[2]),
+    ];
+    let z = avx._mm256_sub_pd(avx._mm256_cvtps_pd(bytemuck::cast(slot.0[k])), origin[2]);
+    let x = avx._mm256_sub_pd(avx._mm256_cvtps_pd(bytemuck::cast(slot.0[i])), origin[0]);
+    let y = avx._mm256_sub_pd(avx._mm256_cvtps_pd(bytemuck::cast(slot.0[j])), origin[1]);
+    let x = avx._mm256_sub_pd(x, avx._mm256_mul_pd(avx._mm256_set1_pd(ray.shear[0]), z));
+    let y = avx._mm256_sub_pd(y, avx._mm256_mul_pd(avx._mm256_set1_pd(ray.shear[1]), z));
     // Lanes 1 2 0 3 and 2 0 1 3: the next vertex and the one after it.
     let (x1, y1) = (avx2._mm256_permute4x64_pd::<0xc9>(x), avx2._mm256_permute4x64_pd::<0xc9>(y));
     let (x2, y2) = (avx2._mm256_permute4x64_pd::<0xd2>(x), avx2._mm256_permute4x64_pd::<0xd2>(y));
@@ -200,7 +205,10 @@ pub(super) fn edges_avx2(simd: V3, slot: &Slot, ray: &TriangleRay) -> Option<Edg
     let zero = avx._mm256_set1_pd(0.0);
     let negative = avx._mm256_movemask_pd(avx._mm256_cmp_pd::<_CMP_LT_OQ>(e, zero)) & 7;
     let positive = avx._mm256_movemask_pd(avx._mm256_cmp_pd::<_CMP_GT_OQ>(e, zero)) & 7;
-    ((negative == 0) != (positive == 0)).then(|| Edges {
+    if (negative == 0) == (positive == 0) {
+        return None;
+    }
+    Some(Edges {
         e: bytemuck::cast(e),
         x: bytemuck::cast(x),
         y: bytemuck::cast(y),
