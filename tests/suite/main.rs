@@ -3,5 +3,7 @@
 
 mod layering;
 mod loaders;
+mod references;
+mod stress;
 #[expect(dead_code, reason = "used by modules as they land")]
 mod support;
