@@ -1,0 +1,331 @@
+//! Tables for people and spreadsheets.
+
+use std::fmt::Write as _;
+
+use super::{Figure, METRICS, Results, Row};
+
+/// A Markdown table, a row a technique, with the settings above it. A figure is bold only where it is the lowest and its 95 %
+/// interval meets no other row's.
+#[must_use]
+pub fn markdown(results: &Results) -> String {
+    let metrics: Vec<&str> = METRICS
+        .into_iter()
+        .filter(|m| results.rows.iter().any(|r| r.metrics.contains_key(*m)))
+        .collect();
+    let mut header: Vec<String> =
+        ["technique", "claim", "effort", "ms/frame", "rays/px", "B/px"].map(String::from).into();
+    header.extend(metrics.iter().map(|m| (*m).to_string()));
+    header.push("bias".to_string());
+    let body: Vec<Vec<String>> = results
+        .rows
+        .iter()
+        .enumerate()
+        .map(|(at, row)| {
+            let mut cells = vec![
+                format!("`{}`", row.technique),
+                row.claim.to_string(),
+                effort(row),
+                figure(row.ms_per_frame.median),
+                figure(row.rays_per_pixel.values().sum()),
+                figure(row.bytes_per_pixel),
+            ];
+            cells.extend(metrics.iter().map(|m| cell(results, at, m)));
+            cells.push(bias(row));
+            cells
+        })
+        .collect();
+    let mut text = heading(results);
+    text.push_str(&align(&header, &body));
+    for note in notes(results) {
+        let _ = writeln!(text, "\n{note}");
+    }
+    text
+}
+
+fn heading(results: &Results) -> String {
+    let [width, height] = results.size;
+    let (frames, restarts) = results.rows.first().map_or((0, 0), |r| (r.frames, r.restarts));
+    let reference = &results.reference;
+    let mut text = format!(
+        "{} at {width}x{height}, depth {}, {} filter; frame {frames} of {restarts} restarts, seed {}\n",
+        results.scene, results.depth, results.filter, results.seed
+    );
+    let _ = write!(text, "reference: {}", reference.source);
+    if let (Some(technique), Some(samples)) = (&reference.technique, reference.samples) {
+        let _ = write!(text, ", `{technique}`, {samples} samples a pixel");
+    }
+    match reference.share_of_smallest_mse {
+        Some(share) => {
+            let _ =
+                write!(text, "; its variance is {} % of the smallest mse", figure(100.0 * share));
+        }
+        None => text.push_str("; its noise is not known"),
+    }
+    text.push_str("\n\n");
+    text
+}
+
+fn effort(row: &Row) -> String {
+    if row.budget.over_budget {
+        format!("{} (off budget)", row.budget.effort)
+    } else {
+        row.budget.effort.to_string()
+    }
+}
+
+fn cell(results: &Results, at: usize, metric: &str) -> String {
+    let Some(this) = results.rows[at].metrics.get(metric) else { return "-".to_string() };
+    let mut text = figure(this.mean);
+    if let Some([low, high]) = this.ci {
+        let _ = write!(text, " ± {}", spread(0.5 * (high - low), this.mean));
+    }
+    let wins = results.rows.len() > 1
+        && results
+            .rows
+            .iter()
+            .enumerate()
+            .filter(|(other, _)| *other != at)
+            .filter_map(|(_, row)| row.metrics.get(metric))
+            .all(|other: &Figure| this.mean < other.mean && this.apart(other));
+    if wins { format!("**{text}**") } else { text }
+}
+
+fn bias(row: &Row) -> String {
+    let Some(bias) = &row.bias else { return "-".to_string() };
+    let mut text = format!("{} {:+.2} %", bias.verdict, 100.0 * bias.relative);
+    if let Some([low, high]) = bias.ci {
+        let _ = write!(text, " [{:+.2}, {:+.2}]", 100.0 * low, 100.0 * high);
+    }
+    if bias.tiles_rejected > 0 {
+        let _ = write!(text, ", {} tiles", bias.tiles_rejected);
+    }
+    text
+}
+
+fn notes(results: &Results) -> Vec<String> {
+    let mut notes = vec![
+        "± is half of the 95 % interval over restarts; bold: lowest, and no other interval meets it.".to_string(),
+    ];
+    for row in &results.rows {
+        if row.budget.over_budget {
+            notes.push(format!(
+                "`{}` cannot meet the budget of {} ms within 5 %: its frames take {} ms.",
+                row.technique,
+                figure(row.budget.value),
+                figure(row.ms_per_frame.median)
+            ));
+        }
+    }
+    if results.interrupted {
+        notes.push("Stopped early: these are the restarts that were done.".to_string());
+    }
+    notes
+}
+
+/// Pads the columns so that the table can be read as text.
+fn align(header: &[String], body: &[Vec<String>]) -> String {
+    let width = |column: usize| {
+        body.iter()
+            .map(|row| &row[column])
+            .chain([&header[column]])
+            .map(|c| c.chars().count())
+            .max()
+            .unwrap_or(0)
+    };
+    let widths: Vec<usize> = (0..header.len()).map(width).collect();
+    let line = |cells: &[String]| {
+        let mut text = String::from("|");
+        for (cell, width) in cells.iter().zip(&widths) {
+            let _ = write!(text, " {cell:width$} |");
+        }
+        text.push('\n');
+        text
+    };
+    let mut text = line(header);
+    text.push('|');
+    for width in &widths {
+        let _ = write!(text, "{}|", "-".repeat(width + 2));
+    }
+    text.push('\n');
+    for row in body {
+        text.push_str(&line(row));
+    }
+    text
+}
+
+/// Three significant digits, without an exponent where it reads well without.
+#[must_use]
+pub fn figure(value: f64) -> String {
+    let size = value.abs();
+    if !value.is_finite() || size == 0.0 {
+        value.to_string()
+    } else if !(1e-3..1e5).contains(&size) {
+        format!("{value:.2e}")
+    } else {
+        let digits = (2 - size.log10().floor() as i32).max(0) as usize;
+        format!("{value:.digits$}")
+    }
+}
+
+/// A half width with as many decimals as `mean` is shown with.
+fn spread(half: f64, mean: f64) -> String {
+    let size = mean.abs();
+    if !half.is_finite() || !(1e-3..1e5).contains(&size) {
+        return format!("{half:.1e}");
+    }
+    let digits = (2 - size.log10().floor() as i32).max(0) as usize;
+    // A spread that would round to nothing keeps a digit of its own.
+    let digits =
+        if half > 0.0 { digits.max((-half.log10().floor()).max(0.0) as usize) } else { digits };
+    format!("{half:.digits$}")
+}
+
+/// Comma-separated values, a row a technique; each metric has its mean and both ends of its interval.
+#[must_use]
+pub fn csv(results: &Results) -> String {
+    let mut text = String::from(
+        "technique,claim,backend,budget,budget_value,effort,over_budget,frames,restarts,ms_median,ms_p99,ms_first,rays_per_pixel,\
+         bytes_per_pixel,bias_verdict,bias_relative,bias_low,bias_high,tiles_rejected",
+    );
+    for metric in METRICS {
+        let _ = write!(text, ",{metric},{metric}_low,{metric}_high");
+    }
+    text.push('\n');
+    for row in &results.rows {
+        let kind = serde_json::to_value(row.budget.kind).unwrap_or_default();
+        let _ = write!(
+            text,
+            "{},{},{},{},{},{},{},{},{},{},{},{},{},{}",
+            quoted(&row.technique),
+            row.claim,
+            row.backend,
+            kind.as_str().unwrap_or_default(),
+            row.budget.value,
+            row.budget.effort,
+            row.budget.over_budget,
+            row.frames,
+            row.restarts,
+            row.ms_per_frame.median,
+            row.ms_per_frame.p99,
+            row.ms_per_frame.first,
+            row.rays_per_pixel.values().sum::<f64>(),
+            row.bytes_per_pixel
+        );
+        match &row.bias {
+            Some(b) => {
+                let _ = write!(
+                    text,
+                    ",{},{}{},{}",
+                    b.verdict,
+                    b.relative,
+                    ends(b.ci),
+                    b.tiles_rejected
+                );
+            }
+            None => text.push_str(",,,,,"),
+        }
+        for metric in METRICS {
+            match row.metrics.get(metric) {
+                Some(f) => {
+                    let _ = write!(text, ",{}{}", f.mean, ends(f.ci));
+                }
+                None => text.push_str(",,,"),
+            }
+        }
+        text.push('\n');
+    }
+    text
+}
+
+fn ends(ci: Option<[f64; 2]>) -> String {
+    ci.map_or(",,".to_string(), |[low, high]| format!(",{low},{high}"))
+}
+
+/// A field that may hold commas (a technique's parameters).
+fn quoted(text: &str) -> String {
+    if text.contains([',', '"', '\n']) {
+        format!("\"{}\"", text.replace('"', "\"\""))
+    } else {
+        text.to_string()
+    }
+}
+
+/// The points of the error-against-time plot.
+#[must_use]
+pub fn curve_csv(results: &Results) -> String {
+    let mut text = String::from("technique,effort,ms,relmse,relmse_low,relmse_high\n");
+    for curve in &results.curves {
+        for p in &curve.points {
+            let _ = writeln!(
+                text,
+                "{},{},{},{}{}",
+                quoted(&curve.technique),
+                p.effort,
+                p.ms,
+                p.relmse.mean,
+                ends(p.relmse.ci)
+            );
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::results::tests::{results, row};
+    use super::*;
+
+    #[test]
+    fn bold_needs_intervals_apart_from_all_others() {
+        let far =
+            markdown(&results(vec![row("a", 0.1, 0.01), row("b", 0.5, 0.1), row("c", 0.9, 0.1)]));
+        assert!(far.contains("**0.100 ± 0.010**"), "{far}");
+        assert_eq!(far.matches("**").count(), 2, "{far}");
+        let near =
+            markdown(&results(vec![row("a", 0.1, 0.01), row("b", 0.11, 0.01), row("c", 0.9, 0.1)]));
+        assert!(!near.contains("**"), "{near}");
+        let alone = markdown(&results(vec![row("a", 0.1, 0.01)]));
+        assert!(!alone.contains("**"), "{alone}");
+    }
+
+    #[test]
+    fn every_table_line_has_the_same_columns() {
+        let text = markdown(&results(vec![
+            row("a", 0.1, 0.01),
+            row("restir:cap=5,mutations=2", 0.5, 0.1),
+        ]));
+        let counts: Vec<usize> =
+            text.lines().filter(|l| l.starts_with('|')).map(|l| l.matches('|').count()).collect();
+        assert_eq!(counts.len(), 4);
+        assert!(counts.iter().all(|c| *c == counts[0]), "{text}");
+    }
+
+    #[test]
+    fn csv_rows_have_as_many_fields_as_the_header() {
+        let mut with_bias = row("b", 0.5, 0.1);
+        with_bias.bias = Some(super::super::Bias {
+            verdict: "pass".into(),
+            relative: 0.001,
+            ci: Some([0.0, 0.002]),
+            tiles_rejected: 0,
+        });
+        let text = csv(&results(vec![row("a", 0.1, 0.01), with_bias]));
+        let counts: Vec<usize> = text.lines().map(|l| l.split(',').count()).collect();
+        assert_eq!(counts, [counts[0]; 3], "{text}");
+        assert!(quoted("a:x=1,y=2").starts_with('"'));
+    }
+
+    #[test]
+    fn figures_have_three_digits() {
+        for (value, text) in [
+            (1234.5, "1234"),
+            (12.345, "12.3"),
+            (0.012345, "0.0123"),
+            (1.2e-7, "1.20e-7"),
+            (0.0, "0"),
+            (2.0, "2.00"),
+        ] {
+            assert_eq!(figure(value), text);
+        }
+    }
+}
