@@ -1,2 +1,5 @@
 //! The `afterimage` command.
-fn main() {}
+
+fn main() -> std::process::ExitCode {
+    afterimage::cli::run()
+}

@@ -1,0 +1,182 @@
+//! A scene and the settings that all frames of a run share.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use super::args::{Backend, FilterArg, PictureArgs, default_depth, default_size};
+use super::{interrupt, note};
+use crate::frame::{Frame, FrameLoop, Stage};
+use crate::picture::Picture;
+use crate::plan::{Filter, Plan, Shot};
+use crate::report::CacheKey;
+use crate::scene::{self, Loaded};
+use crate::techniques::{self, Technique};
+use crate::{Error, Result};
+
+/// See the module's head.
+#[derive(Debug)]
+pub(super) struct Engine {
+    /// As given.
+    pub scene: String,
+    /// For file names.
+    pub name: String,
+    /// Ready to render.
+    pub stage: Stage,
+    /// With effort 1.
+    pub shot: Shot,
+}
+
+/// Reads a scene file, or makes the scene that a generator's name asks for; warnings go to standard error, once.
+pub(super) fn load(scene: &str) -> Result<scene::Scene> {
+    let path = Path::new(scene);
+    let generator = scene.split(':').next().unwrap_or(scene);
+    if !path.exists() && path.extension().is_none() && !generator.contains(std::path::is_separator)
+    {
+        return scene::generate(scene);
+    }
+    let Loaded { scene, warnings } = scene::load::load(path)?;
+    for warning in warnings {
+        note(&format!("warning: {warning}"));
+    }
+    Ok(scene)
+}
+
+impl Engine {
+    /// Loads the scene and settles size and depth: the option, else `size`, else the scene's.
+    pub(super) fn open(
+        scene: &str,
+        args: &PictureArgs,
+        filter: FilterArg,
+        size: Option<[u32; 2]>,
+    ) -> Result<Self> {
+        if args.backend == Backend::Gpu {
+            return Err(Error::usage("this build has no backend `gpu`; known: cpu"));
+        }
+        if let Some(threads) = args.threads {
+            // Fails only where the pool exists already, with the threads of the same option.
+            let _ = rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global();
+        }
+        let loaded = load(scene)?;
+        let shot = Shot {
+            size: args.size.or(size).unwrap_or_else(|| default_size(loaded.film)),
+            depth: args.depth.unwrap_or_else(|| default_depth(loaded.depth)),
+            filter: match filter {
+                FilterArg::Point => Filter::Point,
+                FilterArg::Box => Filter::Box,
+            },
+            run: args.seed,
+            effort: 1,
+            fps: args.fps,
+        };
+        let name = loaded.name.clone();
+        Ok(Self { scene: scene.to_string(), name, stage: Stage::new(loaded)?, shot })
+    }
+
+    /// The same settings on the scene as it stands in frame `index`, without motion.
+    pub(super) fn frozen(&self, index: u32) -> Result<Self> {
+        if !self.stage.facts().moves() {
+            return Ok(Self {
+                scene: self.scene.clone(),
+                name: self.name.clone(),
+                stage: self.stage.clone(),
+                shot: self.shot,
+            });
+        }
+        let scene = self.stage.scene();
+        let time = scene.time[0] + index as f32 / self.shot.fps as f32;
+        let stage = Stage::new(scene.at(time))?;
+        Ok(Self { scene: self.scene.clone(), name: self.name.clone(), stage, shot: self.shot })
+    }
+
+    /// What a technique will run here.
+    pub(super) fn plan(&self, technique: &dyn Technique) -> Plan {
+        technique.plan(self.stage.facts(), &self.shot)
+    }
+
+    /// A technique before its first frame.
+    pub(super) fn start(
+        &self,
+        technique: &Arc<dyn Technique>,
+        effort: u32,
+        seed: u64,
+    ) -> Result<FrameLoop> {
+        FrameLoop::new(technique.clone(), &self.stage, Shot { effort, run: seed, ..self.shot })
+    }
+
+    /// The key of everything that the scene and the settings, but not the run, say about a picture.
+    pub(super) fn key(&self, extra: &str) -> CacheKey {
+        CacheKey::of(|hasher| {
+            super::fingerprint::feed(self.stage.scene(), hasher);
+            let Shot { size, depth, filter, run: _, effort: _, fps: _ } = self.shot;
+            let text = format!("{} {size:?} {depth} {filter:?} {extra}", env!("CARGO_PKG_VERSION"));
+            hasher.write(text.as_bytes());
+        })
+    }
+}
+
+/// The technique of a specification, ready to be shared by loops.
+pub(super) fn technique(spec: &str) -> Result<Arc<dyn Technique>> {
+    techniques::parse(spec).map(Arc::from)
+}
+
+/// Whether what was in earlier frames changes later ones.
+pub(super) fn keeps_history(plan: &Plan) -> bool {
+    plan.buffers.iter().any(|buffer| buffer.history)
+}
+
+/// Renders the next frame, unless the user asked to stop.
+pub(super) fn next(frames: &mut FrameLoop) -> Result<Frame<'_>> {
+    interrupt::check()?;
+    frames.render()
+}
+
+/// The weighted mean of pictures of one size, summed in f64.
+#[derive(Debug)]
+pub(super) struct Mean {
+    size: [u32; 2],
+    weight: f64,
+    sum: Vec<glam::DVec3>,
+}
+
+impl Mean {
+    pub(super) fn new(size: [u32; 2]) -> Self {
+        Self {
+            size,
+            weight: 0.0,
+            sum: vec![glam::DVec3::ZERO; size[0] as usize * size[1] as usize],
+        }
+    }
+
+    /// Adds a picture that is itself the mean of `weight` estimates.
+    pub(super) fn add(&mut self, picture: &Picture, weight: u32) {
+        let weight = f64::from(weight);
+        self.weight += weight;
+        for (sum, pixel) in self.sum.iter_mut().zip(&picture.pixels) {
+            *sum += weight * pixel.as_dvec3();
+        }
+    }
+
+    /// The mean; black without any picture.
+    pub(super) fn picture(&self) -> Picture {
+        let share = if self.weight > 0.0 { self.weight.recip() } else { 0.0 };
+        Picture::new(
+            self.size[0],
+            self.size[1],
+            self.sum.iter().map(|s| (*s * share).as_vec3()).collect(),
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn means_weigh_pictures_by_their_estimates() {
+        let mut mean = Mean::new([1, 1]);
+        assert_eq!(mean.picture().pixels[0], glam::Vec3::ZERO);
+        mean.add(&Picture::filled(1, 1, glam::Vec3::splat(1.0)), 3);
+        mean.add(&Picture::filled(1, 1, glam::Vec3::splat(5.0)), 1);
+        assert_eq!(mean.picture().pixels[0], glam::Vec3::splat(2.0));
+    }
+}

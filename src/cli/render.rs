@@ -1,0 +1,195 @@
+//! `render`: one picture as a multilayer EXR, with a PNG beside it.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::args::{FilterArg, PictureArgs};
+use super::compare::{file_name, sum};
+use super::engine::{self, Engine, Mean, keeps_history};
+use super::progress::Progress;
+use super::seeds::{Part, seed};
+use super::{Status, interrupt, note};
+use crate::frame::{FrameLoop, Guides};
+use crate::picture::Picture;
+use crate::report::{Layer, Tile, ToneMap, write_exr, write_png};
+use crate::{Error, Result};
+
+/// Most estimates of one frame where `--spp` may be spread over frames, so that progress shows and Ctrl-C is heard.
+const CHUNK: u32 = 8;
+
+/// Render one picture: EXR with albedo, normal, depth, motion and emission layers, and a PNG beside it
+///
+/// The layer `color` is the picture; `emission` is the part of it that is seen directly. --frames shows frame N as a real-time
+/// technique would, after N-1 frames of history; --spp averages N complete estimates a pixel. Ctrl-C writes what is done.
+#[derive(Args, Debug)]
+#[command(after_help = "\
+Examples:
+  afterimage render scenes/cornell.pbrt --spp 256 --out cornell.exr
+        256 estimates a pixel with `nee`
+  afterimage render scenes/moving.pbrt --technique nee --frames 30 --out frame30.exr
+        the 30th frame of an animation
+  afterimage render model.glb --frames 64 --accumulate --size 640x360 --out model.exr
+        the mean of 64 frames")]
+pub(super) struct RenderArgs {
+    /// A pbrt or glTF file, or a generator such as many-lights:1000
+    #[arg(value_name = "SCENE")]
+    scene: String,
+    /// A technique's specification; see `afterimage list techniques`
+    #[arg(long, value_name = "SPEC", default_value = "nee")]
+    technique: String,
+    #[command(flatten)]
+    picture: PictureArgs,
+    /// Positions of primary rays
+    #[arg(long, value_enum, default_value_t = FilterArg::Box)]
+    filter: FilterArg,
+    /// Show this frame after a cold start [default: 16]
+    #[arg(long, value_name = "N", conflicts_with = "spp", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    frames: Option<u32>,
+    /// Complete independent estimates a pixel
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_048_576))]
+    spp: Option<u32>,
+    /// Show the mean of all frames instead of the last
+    #[arg(long)]
+    accumulate: bool,
+    /// The file to write [default: SCENE.exr]
+    #[arg(long, value_name = "FILE.exr")]
+    out: Option<PathBuf>,
+}
+
+/// Sums of what is shown.
+struct Shown {
+    picture: Picture,
+    emission: Picture,
+    guides: Guides,
+}
+
+pub(super) fn run(args: &RenderArgs) -> Result<Status> {
+    let technique = engine::technique(&args.technique)?;
+    if let Some(out) = &args.out
+        && out.extension().is_none_or(|e| !e.eq_ignore_ascii_case("exr"))
+    {
+        return Err(Error::usage("--out must name a file that ends in .exr").with_path(out));
+    }
+    let engine = Engine::open(&args.scene, &args.picture, args.filter, None)?;
+    let run = seed(args.picture.seed, Part::Restart, 0, 0);
+    let spread = !keeps_history(&engine.plan(&*technique)) && !engine.stage.facts().moves();
+    let (shown, interrupted) = match args.spp {
+        Some(spp) if spread => {
+            // Frames without history are independent estimates, so frames of a smaller effort are the same mean.
+            let whole = spp / CHUNK;
+            let rest = spp % CHUNK;
+            let mut frames = engine.start(&technique, CHUNK.min(spp), run)?;
+            let last = if rest > 0 && whole > 0 {
+                Some((
+                    engine.start(&technique, rest, seed(args.picture.seed, Part::Restart, 0, 1))?,
+                    rest,
+                ))
+            } else {
+                None
+            };
+            accumulate(&mut frames, whole.max(1), CHUNK.min(spp), last)?
+        }
+        Some(spp) => {
+            let mut frames = engine.start(&technique, spp, run)?;
+            accumulate(&mut frames, 1, spp, None)?
+        }
+        None => {
+            let count = args.frames.unwrap_or(16);
+            let mut frames = engine.start(&technique, 1, run)?;
+            if args.accumulate {
+                accumulate(&mut frames, count, 1, None)?
+            } else {
+                if args.frames.is_none() {
+                    note("showing frame 16 as in real time; --spp 256 gives a smoother picture");
+                }
+                (last_frame(&mut frames, count)?, false)
+            }
+        }
+    };
+    let out = args
+        .out
+        .clone()
+        .unwrap_or_else(|| PathBuf::from(format!("{}.exr", file_name(&engine.name))));
+    let all = sum(&shown.picture, Some(&shown.emission));
+    let guides = &shown.guides;
+    let motion = Layer {
+        name: "motion".to_string(),
+        channels: vec![
+            ("X", guides.motion.iter().map(|m| m.x).collect()),
+            ("Y", guides.motion.iter().map(|m| m.y).collect()),
+        ],
+    };
+    let albedo = Picture::new(all.width, all.height, guides.albedo.clone());
+    let layers = [
+        Layer::rgb("color", &all),
+        Layer::rgb("albedo", &albedo),
+        Layer::xyz("normal", &guides.normal),
+        Layer::scalar("depth", "Z", guides.depth.clone()),
+        motion,
+        Layer::rgb("emission", &shown.emission),
+    ];
+    write_exr(&out, engine.shot.size, &layers)?;
+    let png = out.with_extension("png");
+    write_png(&png, &Tile::new(&all, ToneMap::for_reference(&shown.picture)))?;
+    note(&format!("wrote {} and {}", out.display(), png.display()));
+    Ok(if interrupted { Status::Interrupted } else { Status::Done })
+}
+
+/// The frame numbered `count`, from 1.
+fn last_frame(frames: &mut FrameLoop, count: u32) -> Result<Shown> {
+    let progress = Progress::new("frames", u64::from(count));
+    for _ in 1..count {
+        engine::next(frames)?;
+        progress.step();
+    }
+    let frame = engine::next(frames)?;
+    warn(frame.counters.non_finite);
+    Ok(Shown { picture: frame.picture(), emission: frame.emission(), guides: frame.guides() })
+}
+
+/// The mean of `count` frames of `effort` estimates and perhaps one more of fewer, by their numbers of estimates. Stops early, with
+/// what is done, where the user asks to.
+fn accumulate(
+    frames: &mut FrameLoop,
+    count: u32,
+    effort: u32,
+    last: Option<(FrameLoop, u32)>,
+) -> Result<(Shown, bool)> {
+    let size = frames.shot().size;
+    let progress = Progress::new("frames", u64::from(count));
+    let (mut picture, mut emission) = (Mean::new(size), Mean::new(size));
+    let (mut guides, mut non_finite) = (None, 0);
+    let mut interrupted = false;
+    for _ in 0..count {
+        if guides.is_some() && interrupt::asked() {
+            interrupted = true;
+            break;
+        }
+        let frame = engine::next(frames)?;
+        picture.add(&frame.picture(), effort);
+        emission.add(&frame.emission(), effort);
+        non_finite += frame.counters.non_finite;
+        if guides.is_none() {
+            guides = Some(frame.guides());
+        }
+        progress.step();
+    }
+    if let Some((mut frames, effort)) = last
+        && !interrupted
+    {
+        let frame = engine::next(&mut frames)?;
+        picture.add(&frame.picture(), effort);
+        emission.add(&frame.emission(), effort);
+        non_finite += frame.counters.non_finite;
+    }
+    warn(non_finite);
+    let guides = guides.ok_or_else(|| Error::usage("no frame was asked for"))?;
+    Ok((Shown { picture: picture.picture(), emission: emission.picture(), guides }, interrupted))
+}
+
+fn warn(non_finite: u64) {
+    if non_finite > 0 {
+        note(&format!("warning: {non_finite} estimates are not finite; they are black"));
+    }
+}
