@@ -1,0 +1,320 @@
+//! Does the command keep its contract: options, exit statuses, messages, files?
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use afterimage::picture::Picture;
+use afterimage::report::{Layer, Results, read_exr, write_exr};
+
+/// A fresh folder for a test, with a cache of its own.
+struct Place {
+    folder: PathBuf,
+}
+
+impl Place {
+    fn new(name: &str) -> Self {
+        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("cli-{name}"));
+        if folder.exists() {
+            std::fs::remove_dir_all(&folder).unwrap();
+        }
+        std::fs::create_dir_all(&folder).unwrap();
+        Self { folder }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.join(name)
+    }
+
+    fn command(&self, line: &str) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_afterimage"));
+        command
+            .args(line.split_whitespace())
+            .current_dir(&self.folder)
+            .env("XDG_CACHE_HOME", self.path("cache"));
+        command
+    }
+
+    fn run(&self, line: &str) -> Ran {
+        let Output { status, stdout, stderr } = self.command(line).output().unwrap();
+        let text = |bytes| String::from_utf8(bytes).unwrap();
+        Ran { status: status.code(), out: text(stdout), err: text(stderr) }
+    }
+
+    fn results(&self, folder: &str) -> Results {
+        serde_json::from_slice(&std::fs::read(self.path(folder).join("results.json")).unwrap())
+            .unwrap()
+    }
+
+    /// The only reference in the cache.
+    fn cached(&self) -> PathBuf {
+        let files = std::fs::read_dir(self.path("cache/afterimage")).unwrap();
+        let mut files: Vec<PathBuf> = files.map(|f| f.unwrap().path()).collect();
+        assert_eq!(files.len(), 1, "{files:?}");
+        files.remove(0)
+    }
+}
+
+#[derive(Debug)]
+struct Ran {
+    status: Option<i32>,
+    out: String,
+    err: String,
+}
+
+impl Ran {
+    fn done(self) -> Self {
+        assert_eq!(self.status, Some(0), "{self:?}");
+        self
+    }
+}
+
+fn cornell() -> String {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/cornell.pbrt").display().to_string()
+}
+
+const TINY: &str =
+    "--size 32x32 --depth 3 --frames 2 --restarts 3 --curve-restarts 2 --reference-time 2 --spp 1";
+
+#[test]
+fn help_teaches_by_example() {
+    let place = Place::new("help");
+    let commands = ["compare", "render", "verify", "inspect", "plan", "diff", "generate", "list"];
+    let top = place.run("--help").done();
+    for command in commands {
+        assert!(top.out.contains(command), "{command} in {}", top.out);
+        let help = place.run(&format!("{command} --help")).done();
+        assert!(
+            help.out.contains("Example") && help.out.contains(&format!("afterimage {command} ")),
+            "{help:?}"
+        );
+    }
+    assert!(place.run("--version").done().out.contains(env!("CARGO_PKG_VERSION")));
+}
+
+#[test]
+fn wrong_input_is_status_two_and_one_line_that_lists_what_exists() {
+    let place = Place::new("wrong");
+    let scene = cornell();
+    std::fs::write(place.path("bad.exr"), b"no picture").unwrap();
+    std::fs::write(place.path("bad.pbrt"), b"WorldBegin Shape \"cube\"").unwrap();
+    for (line, parts) in [
+        (
+            format!("render {scene} --technique ne"),
+            vec!["no technique is called `ne`", "known: nee, bsdf"],
+        ),
+        (
+            format!("compare {scene} --techniques nee:rulette=1"),
+            vec!["no parameter `rulette`", "known: roulette"],
+        ),
+        (format!("compare {scene} --techniques ;"), vec!["SPEC;SPEC"]),
+        ("compare nowhere.pbrt".to_string(), vec!["nowhere.pbrt", "no such file"]),
+        ("compare bad.pbrt".to_string(), vec!["bad.pbrt:1:"]),
+        ("compare many-light:5".to_string(), vec!["many-lights"]),
+        (format!("compare {scene} --spp 1 --frame-time 5"), vec!["--spp", "--frame-time"]),
+        (format!("compare {scene} --size 0x4"), vec!["WIDTHxHEIGHT"]),
+        (format!("compare {scene} --filter sinc"), vec!["sinc", "point, box"]),
+        (format!("compare {scene} --backend gpu"), vec!["known: cpu"]),
+        (format!("compare {scene} --reference bad.exr"), vec!["bad.exr"]),
+        (format!("render {scene} --frames 1 --out x.png"), vec![".exr"]),
+        (format!("inspect {scene} --technique nee --pixel 999,0 --size 8x8"), vec!["999,0", "8x8"]),
+        ("diff bad.exr bad.exr".to_string(), vec!["bad.exr"]),
+        ("generate many-lights:x".to_string(), vec!["many-lights:N"]),
+        ("compar x".to_string(), vec!["compare"]),
+        ("compare".to_string(), vec!["SCENE"]),
+    ] {
+        let ran = place.run(&line);
+        assert_eq!(ran.status, Some(2), "{line}: {ran:?}");
+        assert!(ran.out.is_empty(), "{line}: {ran:?}");
+        let errors: Vec<&str> = ran.err.lines().filter(|l| !l.starts_with("warning: ")).collect();
+        assert_eq!(errors.len(), 1, "{line}: {ran:?}");
+        for part in parts {
+            assert!(errors[0].contains(part), "`{part}` in {line}: {ran:?}");
+        }
+    }
+}
+
+#[test]
+fn compare_writes_what_it_promises_and_uses_its_cache() {
+    let place = Place::new("compare");
+    let line = format!("compare {} {TINY} --out first", cornell());
+    let ran = place.run(&line).done();
+    for text in ["`nee`", "`bsdf`", "relmse", "ms/frame", "| unbiased"] {
+        assert!(ran.out.contains(text), "{text} in {}", ran.out);
+    }
+    let folder = place.path("first");
+    for name in
+        "results.json table.md table.csv curve.csv error_time.svg contact.png reference.exr reference.png nee.exr bsdf.png"
+            .split(' ')
+    {
+        assert!(std::fs::metadata(folder.join(name)).unwrap().len() > 0, "{name}");
+    }
+    assert_eq!(std::fs::read_to_string(folder.join("table.md")).unwrap(), ran.out);
+
+    let results = place.results("first");
+    assert_eq!((results.schema, results.size, results.depth, results.seed), (1, [32, 32], 3, 1));
+    assert_eq!((results.filter.as_str(), results.reference.source.as_str()), ("point", "made"));
+    assert!(results.command.starts_with("afterimage compare ") && !results.interrupted);
+    assert_eq!(results.rows.len(), 2);
+    for row in &results.rows {
+        assert_eq!((row.frames, row.restarts, row.budget.effort, row.non_finite), (2, 3, 1, 0));
+        assert!(
+            row.ms_per_frame.median > 0.0 && row.ms_per_frame.first > 0.0 && !row.passes.is_empty()
+        );
+        assert!(row.rays_per_pixel["bounce"] > 0.0 && row.bytes_per_pixel > 0.0);
+        for name in "mse relmse relmse_trimmed smape rmspe flip ttuv low_frequency_share g_2_1 relmse_denoised".split(' ') {
+            let figure = row.metrics[name];
+            let [low, high] = figure.ci.unwrap();
+            assert!(low <= figure.mean && figure.mean <= high && figure.mean > 0.0, "{name}: {figure:?}");
+        }
+        assert!(!row.metrics.contains_key("covariance_r8"), "it needs 30 restarts");
+        assert!(row.bias.is_some());
+    }
+    assert!(results.curves.iter().all(|c| c.points.len() >= 3));
+    // The picture with its emission apart can be judged again.
+    let diff = place.run("diff first/nee.exr first/reference.exr --json").done();
+    let diff: serde_json::Value = serde_json::from_str(&diff.out).unwrap();
+    assert!(diff["relmse"].as_f64().unwrap() > 0.0 && diff["mean_ratio"].as_f64().unwrap() > 0.5);
+
+    // The same again: the same pictures, the reference from the cache.
+    let again = place.run(&line.replace("first", "second")).done();
+    assert!(!again.err.contains("warning"), "{again:?}");
+    let second = place.results("second");
+    assert!(second.reference.source.starts_with("cache"), "{:?}", second.reference);
+    let shown = |folder: &Path| read_exr(&folder.join("nee.exr")).unwrap().picture;
+    assert_eq!(shown(&folder), shown(&place.path("second")));
+
+    // A damaged entry is made anew, with a warning.
+    let cached = place.cached();
+    let mut bytes = std::fs::read(&cached).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    std::fs::write(&cached, bytes).unwrap();
+    let third = place.run(&line.replace("first", "third")).done();
+    assert!(third.err.contains("checksum") && third.err.contains("made anew"), "{third:?}");
+    assert_eq!(place.results("third").reference.source, "made");
+}
+
+#[test]
+fn a_failed_verdict_is_status_one_only_where_check_asks() {
+    let place = Place::new("check");
+    // 16384 pixels x 6 restarts: the standard error of the image is below 0.5 %; a reference 10 % too bright is far from that.
+    let line = format!(
+        "compare {} --size 64x64 --depth 3 --spp 4 --frames 1 --restarts 6 --curve-restarts 0 --techniques nee --reference-time 5",
+        cornell()
+    );
+    place.run(&format!("{line} --out good --check")).done();
+    let file = read_exr(&place.path("good/reference.exr")).unwrap();
+    let emission = file.emission.unwrap();
+    let pixels = file
+        .picture
+        .pixels
+        .iter()
+        .zip(&emission.pixels)
+        .map(|(all, e)| (*all - *e) * 1.1 + *e)
+        .collect();
+    let wrong = Picture::new(64, 64, pixels);
+    let layers = [Layer::rgb("color", &wrong), Layer::rgb("emission", &emission)];
+    write_exr(&place.path("wrong.exr"), [64, 64], &layers).unwrap();
+    let line = format!("{line} --reference wrong.exr --out bad");
+    let ran = place.run(&line).done();
+    assert!(ran.out.contains("fail -9"), "{ran:?}");
+    assert_eq!(place.results("bad").rows[0].bias.as_ref().unwrap().verdict, "fail");
+    assert_eq!(place.run(&format!("{line} --check")).status, Some(1));
+
+    let verify = format!(
+        "verify nee {} --quick --size 64x64 --depth 3 --restarts 16 --reference wrong.exr",
+        cornell()
+    );
+    let ran = place.run(&verify).done();
+    assert!(
+        ran.out.contains("verdict    fail")
+            && ran.out.contains("skewness")
+            && ran.out.contains("--seed 1"),
+        "{ran:?}"
+    );
+    assert_eq!(place.run(&format!("{verify} --check")).status, Some(1));
+}
+
+#[test]
+fn render_writes_layers_that_do_not_depend_on_threads() {
+    let place = Place::new("render");
+    let line = format!("render {} --size 24x20 --depth 4 --spp 9", cornell());
+    place.run(&format!("{line} --threads 1 --out a.exr")).done();
+    place.run(&format!("{line} --threads 2 --out b.exr")).done();
+    assert!(place.path("a.png").exists());
+    let file = read_exr(&place.path("a.exr")).unwrap();
+    assert_eq!(file.picture, read_exr(&place.path("b.exr")).unwrap().picture);
+    assert_eq!([file.picture.width, file.picture.height], [24, 20]);
+    let emission = file.emission.unwrap();
+    assert!(
+        emission.mean_luminance() > 0.0
+            && file.picture.mean_luminance() > emission.mean_luminance()
+    );
+    // All layers by name, as other programs see them.
+    let bytes = std::fs::read(place.path("a.exr")).unwrap();
+    for layer in ["color", "albedo", "normal", "depth", "motion", "emission"] {
+        assert!(bytes.windows(layer.len()).any(|w| w == layer.as_bytes()), "{layer}");
+    }
+}
+
+#[test]
+fn plan_list_inspect_and_generate_speak() {
+    let place = Place::new("speak");
+    let scene = cornell();
+    let plan = place.run(&format!("plan {scene} --technique nee --json")).done();
+    let plan: serde_json::Value = serde_json::from_str(&plan.out).unwrap();
+    assert_eq!((&plan["technique"], &plan["claim"]), (&"nee".into(), &"unbiased".into()));
+    assert!(
+        plan["passes"].as_array().unwrap().len() > 1
+            && plan["bytes_per_pixel"].as_f64().unwrap() > 0.0
+    );
+    assert!(place.run(&format!("plan {scene} --technique nee")).done().out.contains("left out"));
+    assert!(place.run("list techniques").done().out.contains("nee"));
+    assert!(place.run("list scenes").done().out.contains("many-lights:N"));
+    assert!(place.run("list adapters").done().out.contains("no GPU backend"));
+    let inspect = place
+        .run(&format!("inspect {scene} --technique nee --pixel 8,12 --size 16x16 --samples 5"))
+        .done();
+    for text in ["albedo", "lights", "estimate", "skewness"] {
+        assert!(inspect.out.contains(text), "{text} in {inspect:?}");
+    }
+    let lights = place.run("generate many-lights:3").done();
+    assert!(lights.out.contains("WorldBegin"), "{lights:?}");
+}
+
+/// Ctrl-C in the middle of the restarts: what is done is written, whole, and nothing else is left.
+#[cfg(unix)]
+#[test]
+fn an_interrupt_leaves_whole_files() {
+    let place = Place::new("interrupt");
+    let line = format!(
+        "compare {} --size 32x32 --depth 3 --frames 2 --restarts 1000000 --spp 1 --reference-time 1 --out stopped",
+        cornell()
+    );
+    let mut child =
+        place.command(&line).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    // The reference is stored when it is done; the restarts follow.
+    let begin = Instant::now();
+    while !place.path("cache/afterimage").exists() && begin.elapsed() < Duration::from_secs(120) {
+        assert!(child.try_wait().unwrap().is_none(), "it ended before it was asked to");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    std::thread::sleep(Duration::from_secs(2));
+    let sent = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(sent.success());
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(130), "{output:?}");
+    let results = place.results("stopped");
+    assert!(
+        results.interrupted
+            && results.rows.iter().all(|r| r.restarts > 0 && r.restarts < 1_000_000)
+    );
+    assert!(read_exr(&place.path("stopped/nee.exr")).is_ok());
+    for folder in ["stopped", "cache/afterimage"] {
+        for file in std::fs::read_dir(place.path(folder)).unwrap() {
+            let name = file.unwrap().file_name().into_string().unwrap();
+            assert!(!name.ends_with(".tmp"), "{name}");
+        }
+    }
+}
