@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use glam::{Vec3, Vec3A};
 
-use crate::accel::{Accel, AcceptAll, BuildOptions, Hit, HitFilter, Ray};
+use crate::accel::{AcceptAll, Accel, BuildOptions, Hit, HitFilter, HitPoint, Ray};
 use crate::error::Result;
 use crate::light::Lights;
 use crate::scene::{Geometry, Scene};
@@ -47,7 +47,7 @@ impl World {
     /// # Errors
     /// As [`World::new`].
     pub fn next(&self, scene: Scene) -> Result<Self> {
-        let accel = self.accel.rebuild(&scene)?;
+        let accel = if same_geometry(&self.scene, &scene) { self.accel.clone() } else { self.accel.rebuild(&scene)? };
         Ok(Self::with_accel(scene, accel))
     }
 
@@ -84,7 +84,14 @@ impl World {
     #[inline]
     #[must_use]
     pub fn surface(&self, hit: &Hit) -> SurfacePoint {
-        SurfacePoint::new(&self.scene, &self.shapes, &self.accel.point(hit))
+        self.surface_at(hit, &self.accel.point(hit))
+    }
+
+    /// As [`World::surface`], for a hit whose geometry is known.
+    #[inline]
+    #[must_use]
+    pub fn surface_at(&self, hit: &Hit, point: &HitPoint) -> SurfacePoint {
+        SurfacePoint::new(&self.scene, &self.shapes, &self.accel, hit, point)
     }
 
     /// Radiance from infinity along unit `direction`.
@@ -93,6 +100,14 @@ impl World {
     pub fn escaped_radiance(&self, direction: Vec3) -> Vec3 {
         self.lights.environments().map(|(_, environment)| environment.radiance(direction)).sum()
     }
+}
+
+/// Whether two scenes with fixed transforms have the same objects in the same places.
+fn same_geometry(a: &Scene, b: &Scene) -> bool {
+    a.objects.len() == b.objects.len()
+        && a.instances.len() == b.instances.len()
+        && a.objects.iter().zip(&b.objects).all(|(a, b)| Arc::ptr_eq(a, b))
+        && a.instances.iter().zip(&b.instances).all(|(a, b)| a.object == b.object && a.to_world.fixed() == b.to_world.fixed())
 }
 
 /// The world-space box around all shapes; the unit box around the origin for an empty scene.

@@ -23,7 +23,7 @@ mod triangle;
 
 use std::sync::Arc;
 
-use glam::{Affine3A, DAffine3, DMat3, DVec3, Vec3, Vec3A};
+use glam::{Affine3A, DAffine3, DMat3, DVec3, Vec2, Vec3, Vec3A};
 use obvhs::aabb::Aabb;
 #[cfg(target_arch = "x86_64")]
 use pulp::x86::V3;
@@ -138,7 +138,7 @@ pub struct BuildReport {
     pub two_level: bool,
 }
 
-/// What [`Accel::point`] needs beside the slot.
+/// What [`Accel::point`] needs beside the slot, in the tree's space: one place in memory a hit, whatever the mesh looks like.
 #[derive(Clone, Copy, Debug, Default)]
 struct Cold {
     /// Into [`Bottom::shapes`].
@@ -146,6 +146,28 @@ struct Cold {
     element: u32,
     /// 0 in a tree of one object.
     instance: u32,
+    /// Whether `normals` are there.
+    smooth: bool,
+    /// Unit geometric normal of a triangle.
+    normal: Vec3,
+    /// Shading normals of a triangle's corners, of any length.
+    normals: [Vec3; 3],
+    uvs: [Vec2; 3],
+}
+
+impl Cold {
+    /// A triangle of a mesh. `to_tree` transforms normals (the inverse transpose).
+    fn triangle(mesh: &crate::scene::Mesh, element: usize, reverse: bool, to_tree: Option<&DMat3>) -> Self {
+        let corners = mesh.triangles[element].map(|i| i as usize);
+        let to_tree = |n: DVec3| to_tree.map_or(n, |m| *m * n);
+        let p = corners.map(|i| mesh.positions[i].as_dvec3());
+        let side = f64::from(triangle_orientation(mesh, element, reverse));
+        let normal = to_tree((p[1] - p[0]).cross(p[2] - p[0]) * side).normalize_or_zero().as_vec3();
+        let smooth = !mesh.normals.is_empty();
+        let normals = if smooth { corners.map(|i| to_tree(mesh.normals[i].as_dvec3()).as_vec3()) } else { [normal; 3] };
+        let uvs = if mesh.uvs.is_empty() { [Vec2::ZERO, Vec2::X, Vec2::ONE] } else { corners.map(|i| mesh.uvs[i]) };
+        Self { shape: 0, element: element as u32, instance: 0, smooth, normal, normals, uvs }
+    }
 }
 
 #[derive(Clone, Debug)]
@@ -364,6 +386,8 @@ impl Gather {
                 geometry: shape.geometry.clone(),
                 reverse: shape.reverse_orientation,
             });
+            // A singular transform has been refused.
+            let normals = vertices.map(|m| m.matrix3.as_dmat3().inverse().transpose());
             match &shape.geometry {
                 Geometry::Mesh(mesh) => {
                     for (element, corners) in mesh.triangles.iter().enumerate() {
@@ -377,7 +401,11 @@ impl Gather {
                         };
                         let [a, b, c] = p.map(Vec3A::from);
                         let bounds = Aabb::new(a.min(b).min(c), a.max(b).max(c));
-                        let cold = Cold { shape: number, element: element as u32, instance };
+                        let mut cold = Cold { shape: number, instance, ..Cold::default() };
+                        if area > 0.0 {
+                            let reverse = shape.reverse_orientation;
+                            cold = Cold { shape: number, instance, ..Cold::triangle(mesh, element, reverse, normals.as_ref()) };
+                        }
                         self.push(Slot::triangle(p), cold, bounds, area > 0.0);
                     }
                 }
@@ -386,7 +414,7 @@ impl Gather {
                     let bounds = transformed_box(center.as_dvec3(), quadrics, |row| {
                         row.length() * f64::from(*radius)
                     });
-                    let cold = Cold { shape: number, element: 0, instance };
+                    let cold = Cold { shape: number, instance, ..Cold::default() };
                     self.push(Slot::sphere(*center, *radius), cold, bounds, *radius > 0.0);
                 }
                 Geometry::Disk { center, normal, radius } => {
@@ -395,7 +423,7 @@ impl Gather {
                     let bounds = transformed_box(center.as_dvec3(), quadrics, |row| {
                         row.cross(unit).length() * f64::from(*radius)
                     });
-                    let cold = Cold { shape: number, element: 0, instance };
+                    let cold = Cold { shape: number, instance, ..Cold::default() };
                     let valid = *radius > 0.0 && unit.is_finite();
                     self.push(Slot::disk(*center, *normal, *radius), cold, bounds, valid);
                 }

@@ -116,6 +116,11 @@ fn run<K: Kernel, F: HitFilter, const ANY: bool>(
         let mut primitives =
             Primitives::new(&mut query, bottom, None, (origin.as_dvec3(), direction.as_dvec3()));
         traverse::<STACK, K, _>(kernel, &bottom.tree, &boxes, &mut primitives);
+        if F::ALL && !ANY
+            && let Some(hit) = &mut query.best
+        {
+            hit.instance = bottom.cold[hit.primitive as usize].instance;
+        }
     }
     query.best
 }
@@ -155,7 +160,8 @@ impl<F: HitFilter, const ANY: bool> Query<'_, F, ANY> {
     #[cold]
     fn rank(&self, hit: &Hit) -> (u32, u32, u32) {
         let cold = &self.accel.bottom(hit.instance).cold[hit.primitive as usize];
-        (hit.instance, cold.shape, cold.element)
+        let instance = if self.accel.top.is_some() { hit.instance } else { cold.instance };
+        (instance, cold.shape, cold.element)
     }
 
     /// Whether t plus its uncertainty from a rounded direction is beyond the end: 2⁻²⁴ Σ|n_i d_i| / |n·d| of t.
@@ -210,6 +216,8 @@ impl<'q, 'a, F: HitFilter, const ANY: bool> Primitives<'q, 'a, F, ANY> {
         }
         let instance = match self.instance {
             Some(instance) => instance,
+            // Looked up once, for the hit that stays, where nobody asks in between.
+            None if F::ALL => 0,
             None => self.bottom.cold[number as usize].instance,
         };
         self.query.offer(t, u as f32, v as f32, number, instance) && ANY

@@ -70,29 +70,43 @@ const LEAF: u32 = 1 << 31;
 /// Primitives beyond this cannot be named by an [`Entry`].
 pub(super) const MAX_SLOTS: usize = 1 << 29;
 
+/// Entries that almost every ray gets by with: clearing a stack for the deepest tree costs as much as a node.
+const SHALLOW: usize = 32;
+
 /// Traverses `tree`, whose depth must suit `STACK` (see `build`). True if a leaf ended it.
 #[inline(always)]
-pub(super) fn traverse<const STACK: usize, K: Kernel, V: Visitor<K>>(
+pub(super) fn traverse<const STACK: usize, K: Kernel, V: Visitor<K> + Visitor<Portable>>(
     kernel: K,
     tree: &Tree,
     ray: &BoxRay,
     visitor: &mut V,
 ) -> bool {
     match &tree.nodes {
-        Nodes::Cwbvh(nodes) => cwbvh::<STACK, K, V>(kernel, nodes, ray, visitor),
+        Nodes::Cwbvh(nodes) => match cwbvh::<SHALLOW, K, V>(kernel, nodes, ray, visitor) {
+            Some(ended) => ended,
+            None => deep::<STACK, V>(nodes, ray, visitor),
+        },
         Nodes::Bvh2(nodes) => bvh2::<STACK, K, V>(kernel, nodes, ray, visitor),
     }
 }
 
+/// The same search from the start (what was found so far still bounds it), with a stack that no tree overflows.
+#[cold]
+#[inline(never)]
+fn deep<const STACK: usize, V: Visitor<Portable>>(nodes: &[CwBvhNode], ray: &BoxRay, visitor: &mut V) -> bool {
+    cwbvh::<STACK, Portable, V>(Portable, nodes, ray, visitor).expect("the build bounds a tree's depth by its stack")
+}
+
+/// `None`: the stack is too small.
 #[inline(always)]
 fn cwbvh<const STACK: usize, K: Kernel, V: Visitor<K>>(
     kernel: K,
     nodes: &[CwBvhNode],
     ray: &BoxRay,
     visitor: &mut V,
-) -> bool {
+) -> Option<bool> {
     if nodes.is_empty() {
-        return false;
+        return Some(false);
     }
     let mut stack = [Entry::default(); STACK];
     let mut top = 0;
@@ -100,12 +114,15 @@ fn cwbvh<const STACK: usize, K: Kernel, V: Visitor<K>>(
     loop {
         if child & LEAF != 0 {
             if visitor.leaf(kernel, child & (MAX_SLOTS as u32 - 1), (child >> 29) & 3) {
-                return true;
+                return Some(true);
             }
         } else {
             let node = &nodes[child as usize];
             let (mut mask, near) = kernel.children(node, ray, visitor.limit());
             let base = top;
+            if top + mask.count_ones() as usize > STACK {
+                return None;
+            }
             while mask != 0 {
                 let slot = mask.trailing_zeros() as usize & 7;
                 mask &= mask - 1;
@@ -130,7 +147,7 @@ fn cwbvh<const STACK: usize, K: Kernel, V: Visitor<K>>(
         }
         loop {
             if top == 0 {
-                return false;
+                return Some(false);
             }
             top -= 1;
             if stack[top].near <= visitor.limit() {

@@ -49,8 +49,10 @@ impl Stage {
     /// As [`Stage::new`].
     pub fn with_options(scene: Scene, options: &BuildOptions) -> Result<Self> {
         scene.validate()?;
-        let first = World::new(scene.at(scene.time[0]), options)?;
         let facts = SceneFacts::new(&scene);
+        // What moves must have a tree of its own, which later frames share.
+        let two_level = options.two_level.or(facts.moving_geometry.then_some(true));
+        let first = World::new(scene.at(scene.time[0]), &BuildOptions { two_level, ..*options })?;
         Ok(Self { scene: Arc::new(scene), facts, first: Arc::new(first) })
     }
 

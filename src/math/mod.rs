@@ -86,23 +86,14 @@ impl Frame {
     }
 }
 
-/// Moves `p` along unit `n`, out of the box `p ± error`, and one ulp further in every component, so that rounding never brings it
-/// back (Pharr, Jakob, Humphreys 2023, section 6.8.6). `n` must point to the side the ray leaves to.
+/// Moves `p` along unit `n`, out of the box `p ± error`, and at least one unit in the last place further in every component, so that rounding
+/// never brings it back (Pharr, Jakob, Humphreys 2023, section 6.8.6). `n` must point to the side the ray leaves to.
 #[inline]
 #[must_use]
 pub fn offset_origin(p: Vec3, n: Vec3, error: Vec3) -> Vec3 {
-    let distance = n.abs().dot(error);
-    let moved = p + n * distance;
-    let away = |value: f32, direction: f32| {
-        if direction > 0.0 {
-            value.next_up()
-        } else if direction < 0.0 {
-            value.next_down()
-        } else {
-            value
-        }
-    };
-    Vec3::new(away(moved.x, n.x), away(moved.y, n.y), away(moved.z, n.z))
+    let moved = p + n * n.abs().dot(error);
+    // A share of 2⁻²³ is at least one unit in the last place, so the sum cannot round back.
+    moved + n.signum() * (moved.abs() * f32::EPSILON)
 }
 
 /// Octahedral code of a unit direction, in [−1, 1]² (Cigolle et al. 2014).

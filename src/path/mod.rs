@@ -118,10 +118,11 @@ pub fn scattered_radiance<const NEE: bool, F: HitFilter>(
     let mut throughput = Vec3::ONE;
     let mut eta_scale = 1.0_f32;
     let mut direction = primary.0;
-    let mut hit = world.accel.point(primary.1);
+    let mut hit = *primary.1;
+    let mut point = world.accel.point(&hit);
     counters.paths += 1;
     for vertex in 0..limits.depth.saturating_sub(1) {
-        let surface = SurfacePoint::new(&world.scene, &world.shapes, &hit);
+        let surface = world.surface_at(&hit, &point);
         if surface.bsdf.is_black() {
             break;
         }
@@ -171,16 +172,20 @@ pub fn scattered_radiance<const NEE: bool, F: HitFilter>(
             }
             break;
         };
-        hit = world.accel.point(&next);
-        let light = world.lights.of_surface(hit.shape, hit.element);
+        let (shape, element) = world.accel.shape_of(&next);
+        let light = world.lights.of_surface(shape, element);
+        let last = vertex + 2 == limits.depth;
+        if last && light == NO_LIGHT {
+            break;
+        }
+        hit = next;
+        point = world.accel.point(&next);
         if light != NO_LIGHT {
-            let cos_light = -direction.dot(hit.geometric_normal);
-            let emission = world.lights.emitted(&world.scene, light, hit.uv, cos_light);
+            let cos_light = -direction.dot(point.geometric_normal);
+            let emission = world.lights.emitted(&world.scene, light, point.uv, cos_light);
             if emission != Vec3::ZERO {
-                let pdf =
-                    world.lights.pdf_towards(light, surface.position, hit.position, cos_light);
-                radiance +=
-                    throughput * emission * weight(world.lights.choice_probability(light), pdf);
+                let pdf = world.lights.pdf_towards(light, surface.position, point.position, cos_light);
+                radiance += throughput * emission * weight(world.lights.choice_probability(light), pdf);
             }
         }
     }

@@ -5,9 +5,9 @@ use glam::{Vec2, Vec3};
 use super::ShapeInfo;
 use super::bsdf::Bsdf;
 use super::material::evaluate_material;
-use crate::accel::HitPoint;
+use crate::accel::{Accel, Hit, HitPoint};
 use crate::math::{Frame, offset_origin};
-use crate::scene::{Material, Scene};
+use crate::scene::Scene;
 
 /// A surface point ready for shading.
 #[derive(Clone, Copy, Debug)]
@@ -31,25 +31,25 @@ pub struct SurfacePoint {
 }
 
 impl SurfacePoint {
-    /// Looks up the material at a hit.
+    /// Looks up the material at a hit, whose geometry is `point`.
     #[inline]
     #[must_use]
-    pub fn new(scene: &Scene, shapes: &[ShapeInfo], hit: &HitPoint) -> Self {
-        let material = shapes[hit.shape as usize].material;
-        // Only anisotropic lobes see the tangents.
-        let frame = match scene.materials[material.index()] {
-            Material::Diffuse { .. } => Frame::from_normal(hit.shading_normal),
-            _ => Frame::from_normal_and_tangent(hit.shading_normal, hit.dpdu),
+    pub fn new(scene: &Scene, shapes: &[ShapeInfo], accel: &Accel, hit: &Hit, point: &HitPoint) -> Self {
+        let shape = &shapes[point.shape as usize];
+        let frame = if shape.anisotropic {
+            Frame::from_normal_and_tangent(point.shading_normal, accel.tangent(hit))
+        } else {
+            Frame::from_normal(point.shading_normal)
         };
         Self {
-            position: hit.position,
-            error: hit.error,
-            geometric_normal: hit.geometric_normal,
+            position: point.position,
+            error: point.error,
+            geometric_normal: point.geometric_normal,
             frame,
-            uv: hit.uv,
-            shape: hit.shape,
-            element: hit.element,
-            bsdf: evaluate_material(scene, material, hit.uv),
+            uv: point.uv,
+            shape: point.shape,
+            element: point.element,
+            bsdf: evaluate_material(scene, shape.material, point.uv),
         }
     }
 

@@ -2,7 +2,7 @@
 
 use crate::accel::{Accel, Hit, HitFilter, Ray};
 use crate::math::rng::pcg4d;
-use crate::scene::{MaterialId, Scalar, Scene};
+use crate::scene::{Material, MaterialId, Scalar, Scene};
 
 /// What rendering needs of a placed shape besides its geometry.
 #[derive(Clone, Copy, Debug)]
@@ -13,6 +13,8 @@ pub struct ShapeInfo {
     pub alpha: Option<Scalar>,
     /// Whether it emits.
     pub emits: bool,
+    /// Whether its scattering depends on the direction of its texture's axes.
+    pub anisotropic: bool,
 }
 
 /// The scene's shapes by running number.
@@ -25,8 +27,27 @@ pub fn placed_shapes(scene: &Scene) -> Vec<ShapeInfo> {
             material: shape.material,
             alpha: shape.alpha.filter(|alpha| !matches!(alpha, Scalar::Constant(a) if *a >= 1.0)),
             emits: shape.emission.is_some(),
+            anisotropic: anisotropic(scene, &scene.materials[shape.material.index()]),
         })
         .collect()
+}
+
+/// Whether a material's lobes have two different roughnesses.
+fn anisotropic(scene: &Scene, material: &Material) -> bool {
+    match material {
+        Material::Conductor { roughness, .. } | Material::Dielectric { roughness, .. } | Material::CoatedDiffuse { roughness, .. } => {
+            match (roughness.u, roughness.v) {
+                (Scalar::Constant(u), Scalar::Constant(v)) => u != v,
+                (Scalar::Texture(u, from_u), Scalar::Texture(v, from_v)) => (u, from_u) != (v, from_v),
+                _ => true,
+            }
+        }
+        Material::Mix { first, second, .. } => {
+            // Parts of a mix are not mixes, as validation has checked.
+            [first, second].iter().any(|part| anisotropic(scene, &scene.materials[part.index()]))
+        }
+        _ => false,
+    }
 }
 
 /// Lets a ray pass where a shape's coverage says so.
