@@ -1,16 +1,20 @@
 //! Choice of one of many by weight in constant time (Walker 1974; Vose 1991), built in f64.
 
 /// A discrete distribution over `0..len`.
+///
+/// Entries of weight 0 take part in nothing: adding one changes no draw.
 #[derive(Clone, Debug, Default)]
 pub struct AliasTable {
+    /// One for each positive weight.
     slots: Vec<Slot>,
     probabilities: Vec<f32>,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Slot {
-    /// The slot's own index is taken where the fraction's word lies below this share of 2³².
+    /// `own` is taken where the fraction's word lies below this share of 2³², else `alias`.
     threshold: u32,
+    own: u32,
     alias: u32,
 }
 
@@ -23,40 +27,35 @@ impl AliasTable {
         if total <= 0.0 {
             return Self::default();
         }
-        let n = weights.len();
-        let mut scaled: Vec<f64> = weights.iter().map(|w| w / total * n as f64).collect();
-        let (mut small, mut large): (Vec<u32>, Vec<u32>) =
-            (0..n as u32).partition(|&i| scaled[i as usize] < 1.0);
-        let mut slots = vec![Slot { threshold: u32::MAX, alias: 0 }; n];
-        for (i, slot) in slots.iter_mut().enumerate() {
-            slot.alias = i as u32;
-        }
+        let positive: Vec<u32> =
+            (0..weights.len() as u32).filter(|&i| weights[i as usize] > 0.0).collect();
+        let n = positive.len();
+        let mut scaled: Vec<f64> =
+            positive.iter().map(|&i| weights[i as usize] / total * n as f64).collect();
+        let (mut small, mut large): (Vec<usize>, Vec<usize>) =
+            (0..n).partition(|&i| scaled[i] < 1.0);
+        // What is left over by rounding keeps itself.
+        let mut slots: Vec<Slot> =
+            positive.iter().map(|&i| Slot { threshold: u32::MAX, own: i, alias: i }).collect();
         while let (Some(&s), Some(&l)) = (small.last(), large.last()) {
             small.pop();
-            let share = scaled[s as usize];
-            slots[s as usize] = Slot { threshold: (share * 4_294_967_296.0) as u32, alias: l };
-            scaled[l as usize] -= 1.0 - share;
-            if scaled[l as usize] < 1.0 {
+            let share = scaled[s];
+            slots[s].threshold = (share * 4_294_967_296.0) as u32;
+            slots[s].alias = positive[l];
+            scaled[l] -= 1.0 - share;
+            if scaled[l] < 1.0 {
                 large.pop();
                 small.push(l);
-            }
-        }
-        // What is left over by rounding keeps itself; a weight of 0 that was left over must never be drawn.
-        let heaviest =
-            (0..n).max_by(|&a, &b| weights[a].total_cmp(&weights[b])).unwrap_or(0) as u32;
-        for i in small {
-            if weights[i as usize] == 0.0 {
-                slots[i as usize] = Slot { threshold: 0, alias: heaviest };
             }
         }
         let probabilities = weights.iter().map(|w| (w / total) as f32).collect();
         Self { slots, probabilities }
     }
 
-    /// Number of entries; 0 where nothing can be drawn.
+    /// Number of entries, those of weight 0 included; 0 where nothing can be drawn.
     #[must_use]
     pub fn len(&self) -> usize {
-        self.slots.len()
+        self.probabilities.len()
     }
 
     /// Whether nothing can be drawn.
@@ -75,7 +74,7 @@ impl AliasTable {
         let index = (product >> 64) as u32;
         let fraction = (product >> 32) as u32;
         let slot = self.slots[index as usize];
-        if fraction < slot.threshold || slot.alias == index { index } else { slot.alias }
+        if fraction < slot.threshold { slot.own } else { slot.alias }
     }
 
     /// Probability of an entry, in [0, 1].
@@ -96,6 +95,21 @@ mod tests {
     fn empty_and_black_tables_draw_nothing() {
         assert!(AliasTable::new(&[]).is_empty());
         assert!(AliasTable::new(&[0.0, 0.0]).is_empty());
+    }
+
+    #[test]
+    fn a_zero_weight_changes_no_draw() {
+        let table = AliasTable::new(&[1.0, 5.0, 2.0]);
+        let longer = AliasTable::new(&[0.0, 1.0, 5.0, 0.0, 2.0, 0.0]);
+        let place = [1, 2, 4];
+        let mut stream = Stream::from_key(2);
+        for _ in 0..10_000 {
+            let words = (stream.word(), stream.word());
+            let (a, b) = (table.sample(words.0, words.1), longer.sample(words.0, words.1));
+            assert_eq!(place[a as usize], b);
+            assert_eq!(table.probability(a), longer.probability(b));
+        }
+        assert_eq!((longer.len(), longer.probability(5)), (6, 0.0));
     }
 
     #[test]
