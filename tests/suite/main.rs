@@ -3,9 +3,14 @@
 
 #[cfg(feature = "cli")]
 mod cli;
+mod determinism;
+mod elision;
+mod laws;
 mod layering;
 mod loaders;
+mod metamorphic;
+mod oracles;
+mod planted;
 mod references;
 mod stress;
-#[expect(dead_code, reason = "used by modules as they land")]
 mod support;

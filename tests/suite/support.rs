@@ -3,13 +3,19 @@
 use std::sync::Arc;
 
 use afterimage::frame::{FrameLoop, Stage};
-use afterimage::plan::{Filter, Shot};
+use afterimage::math::Frame;
+use afterimage::path::Counters;
+use afterimage::picture::Picture;
+use afterimage::plan::{Claim, Filter, Shot};
 use afterimage::scene::{
-    Camera, Color, Geometry, Material, MaterialId, Mesh, Scene, Shape, Transform,
+    Camera, Color, ConductorColor, Geometry, Light, LightKind, Material, MaterialId, Mesh,
+    Roughness, Scene, Shape, Transform,
 };
-use afterimage::stats::{MeanTest, Moments, t_test};
-use afterimage::techniques::parse;
-use glam::{Affine3A, Vec3};
+use afterimage::stats::{
+    Equivalence, Estimate, Margin, Moments, Verdict, equivalence, samples_for_bias, t_test, welch,
+};
+use afterimage::techniques::{REGISTRY, parse};
+use glam::{Affine3A, Mat3, Vec3};
 
 /// A shot of `size` pixels with the point filter.
 pub(crate) fn shot(size: [u32; 2], depth: u32, effort: u32) -> Shot {
@@ -45,23 +51,242 @@ pub(crate) fn sphere(radius: f32, material: MaterialId) -> Shape {
     }
 }
 
-/// The mean over the picture of each frame's red channel, one number a frame: independent samples of techniques without history.
-pub(crate) fn frame_means(stage: &Stage, spec: &str, shot: Shot, frames: u32) -> Moments {
-    let mut moments = Moments::default();
-    let mut frame_loop = FrameLoop::new(Arc::from(parse(spec).unwrap()), stage, shot).unwrap();
-    for _ in 0..frames {
-        let frame = frame_loop.render().unwrap();
-        assert_eq!(frame.counters.non_finite, 0, "{spec} gave values that are not finite");
-        let picture = frame.picture();
-        moments.push(
-            picture.pixels.iter().map(|p| f64::from(p.x)).sum::<f64>()
-                / picture.pixels.len() as f64,
-        );
-    }
-    moments
+/// Adds a small receiver at `at`: a patch with normal `n` and a camera that sees nothing else, at cosine `mu` to it.
+pub(crate) fn receiver(scene: &mut Scene, at: Vec3, n: Vec3, mu: f32, material: MaterialId) {
+    let frame = Frame::from_normal(n);
+    let corner = |x: f32, y: f32| at + (frame.tangent * x + frame.bitangent * y) * 0.01;
+    let corners = [corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0)];
+    scene.add_shape(Shape::new(polygon(&corners), material));
+    let towards_camera = n * mu + frame.tangent * (1.0 - mu * mu).sqrt();
+    // All that is seen lies within 10⁻⁶ of `at`, from directions within 2·10⁻⁶.
+    scene.camera = look_at(at + 0.25 * towards_camera, at, 2e-6);
 }
 
-/// The test of [`frame_means`] against a known value.
-pub(crate) fn against(stage: &Stage, spec: &str, shot: Shot, frames: u32, truth: f64) -> MeanTest {
-    t_test(&frame_means(stage, spec, shot, frames), truth)
+/// Light from everywhere at infinity.
+pub(crate) fn environment(scene: &mut Scene, radiance: Vec3) {
+    let kind = LightKind::Environment { radiance, image: None };
+    light(scene, kind, Affine3A::IDENTITY);
+}
+
+/// Adds a light without a surface.
+pub(crate) fn light(scene: &mut Scene, kind: LightKind, to_world: Affine3A) {
+    let key = scene.lights.len() as u64;
+    scene.lights.push(Light { to_world: Transform::Fixed(to_world), kind, key });
+}
+
+/// Light space at `position` with +z along unit `axis`.
+pub(crate) fn along(position: Vec3, axis: Vec3) -> Affine3A {
+    let frame = Frame::from_normal(axis);
+    Affine3A::from_mat3_translation(
+        Mat3::from_cols(frame.tangent, frame.bitangent, frame.normal),
+        position,
+    )
+}
+
+/// A metal that reflects everything, of roughness `alpha`; 0 is a mirror.
+pub(crate) fn metal(scene: &mut Scene, alpha: f32) -> MaterialId {
+    scene.add_material(Material::Conductor {
+        color: ConductorColor::Reflectance(Color::Constant(Vec3::ONE)),
+        roughness: Roughness::isotropic(alpha),
+    })
+}
+
+/// A room that has something of everything whose image has the same bits under exact changes: coloured Lambert walls, a glossy and a
+/// mirroring metal, glass, and grey lights of three shapes. All coordinates have few digits.
+pub(crate) fn room() -> Scene {
+    let mut scene = Scene::new("room");
+    let paint = |scene: &mut Scene, rgb: [f32; 3]| {
+        scene.add_material(Material::Diffuse { reflectance: Color::Constant(rgb.into()) })
+    };
+    let grey = paint(&mut scene, [0.7, 0.7, 0.7]);
+    let red = paint(&mut scene, [0.6, 0.1, 0.2]);
+    let green = paint(&mut scene, [0.1, 0.5, 0.3]);
+    let glossy = metal(&mut scene, 0.2);
+    let mirror = metal(&mut scene, 0.0);
+    let roughness = Roughness::SMOOTH;
+    let glass = scene.add_material(Material::Dielectric { eta: 1.5, roughness });
+    let c = |x: f32, y: f32, z: f32| Vec3::new(x, y, z);
+    let walls = [
+        ([c(-1.0, 0.0, -1.0), c(-1.0, 0.0, 1.0), c(1.0, 0.0, 1.0), c(1.0, 0.0, -1.0)], grey),
+        ([c(-1.0, 2.0, -1.0), c(1.0, 2.0, -1.0), c(1.0, 2.0, 1.0), c(-1.0, 2.0, 1.0)], grey),
+        ([c(-1.0, 0.0, 1.0), c(-1.0, 2.0, 1.0), c(1.0, 2.0, 1.0), c(1.0, 0.0, 1.0)], grey),
+        ([c(-1.0, 0.0, -1.0), c(-1.0, 2.0, -1.0), c(-1.0, 2.0, 1.0), c(-1.0, 0.0, 1.0)], red),
+        ([c(1.0, 0.0, -1.0), c(1.0, 0.0, 1.0), c(1.0, 2.0, 1.0), c(1.0, 2.0, -1.0)], green),
+    ];
+    for (corners, material) in walls {
+        scene.add_shape(Shape::new(polygon(&corners), material));
+    }
+    let ball =
+        |x: f32, y: f32, z: f32, radius: f32| Geometry::Sphere { center: c(x, y, z), radius };
+    scene.add_shape(Shape::new(ball(-0.5, 0.375, 0.25, 0.375), glossy));
+    scene.add_shape(Shape::new(ball(0.5, 0.375, 0.0, 0.375), mirror));
+    scene.add_shape(Shape::new(ball(-0.125, 0.25, -0.5, 0.25), glass));
+    let lamp =
+        [c(-0.5, 1.875, -0.5), c(0.5, 1.875, -0.5), c(0.5, 1.875, 0.25), c(-0.5, 1.875, 0.25)];
+    scene.add_shape(Shape::new(polygon(&lamp), grey).emitting(Vec3::splat(4.0)));
+    scene.add_shape(Shape::new(ball(0.0, 1.0, 0.75, 0.125), grey).emitting(Vec3::splat(8.0)));
+    let disk = Geometry::Disk { center: c(-0.75, 1.25, -0.5), normal: Vec3::X, radius: 0.25 };
+    scene.add_shape(Shape::new(disk, grey).emitting(Vec3::splat(2.0)));
+    scene.camera = look_at(c(0.0, 1.0, -3.0), c(0.0, 1.0, 0.0), 0.75);
+    scene
+}
+
+/// The names of the techniques that claim to be unbiased for a scene; the others are left out with a word.
+pub(crate) fn unbiased(stage: &Stage, shot: &Shot) -> Vec<&'static str> {
+    REGISTRY
+        .iter()
+        .map(|entry| entry.name)
+        .filter(|name| match parse(name).unwrap().plan(stage.facts(), shot).claim {
+            Claim::Biased(why) => {
+                println!("{}: left out `{name}`: {why}", stage.scene().name);
+                false
+            }
+            _ => true,
+        })
+        .collect()
+}
+
+/// The last of `frames` frames after a restart.
+pub(crate) fn last_frame(
+    stage: &Stage,
+    spec: &str,
+    shot: Shot,
+    frames: u32,
+) -> (Picture, Counters) {
+    let mut frame_loop = FrameLoop::new(Arc::from(parse(spec).unwrap()), stage, shot).unwrap();
+    for _ in 1..frames {
+        frame_loop.render().unwrap();
+    }
+    let frame = frame_loop.render().unwrap();
+    assert_eq!(frame.counters.non_finite, 0, "{spec} gave values that are not finite");
+    (frame.picture(), frame.counters)
+}
+
+/// The picture of the first frame.
+pub(crate) fn picture(stage: &Stage, spec: &str, shot: Shot) -> Picture {
+    last_frame(stage, spec, shot, 1).0
+}
+
+/// Bits of a picture, for comparisons that know no tolerance.
+pub(crate) fn bits(picture: &Picture) -> Vec<[u32; 3]> {
+    picture.pixels.iter().map(|p| p.to_array().map(f32::to_bits)).collect()
+}
+
+/// Mean of the red channel.
+pub(crate) fn mean_red(picture: &Picture) -> f64 {
+    picture.pixels.iter().map(|p| f64::from(p.x)).sum::<f64>() / picture.pixels.len() as f64
+}
+
+/// The picture's mean in the first frame of each of `count` restarts: independent for any technique.
+pub(crate) fn restarts(stage: &Stage, spec: &str, shot: Shot, count: u64) -> Moments {
+    let mut frame_loop = FrameLoop::new(Arc::from(parse(spec).unwrap()), stage, shot).unwrap();
+    (0..count)
+        .map(|restart| {
+            frame_loop.restart(shot.run + restart);
+            let frame = frame_loop.render().unwrap();
+            assert_eq!(frame.counters.non_finite, 0, "{spec} gave values that are not finite");
+            mean_red(&frame.picture())
+        })
+        .collect()
+}
+
+/// Probability of a pass where the true difference is δ.
+pub(crate) const ALPHA: f64 = 1e-3;
+/// δ, relative to the answer.
+pub(crate) const DELTA: f64 = 0.005;
+/// Restarts of a test: enough that skewness can be judged, few enough that each mean is over many paths.
+pub(crate) const RESTARTS: u64 = 64;
+
+/// Effort with which [`RESTARTS`] restarts pass with a probability of 99.9 % where there is no bias: n = ((z₁₋α + z₀.₉₉₉₅) c/δ)² paths. Also
+/// gives c, a path's standard deviation over its mean, from a pilot of other runs. The factor is for what the pilot does not know of c (4 %)
+/// and for Student's quantile in the place of z.
+fn effort(stage: &Stage, spec: &str, shot: Shot, sides: f64) -> (u32, f64) {
+    let pilot = restarts(stage, spec, Shot { effort: 1, run: 1 << 40, ..shot }, 4 * RESTARTS);
+    let c = pilot.variance().sqrt() / pilot.mean() * (shot.pixels() as f64).sqrt();
+    assert!(c.is_finite(), "{spec} sees nothing: {pilot:?}");
+    let paths = sides * samples_for_bias(DELTA, 1.1 * c, 2.0 * ALPHA, 0.9995);
+    let effort = (paths / (RESTARTS as f64 * shot.pixels() as f64)).ceil().max(1.0);
+    assert!(effort < 2e4, "{spec} would need {paths:e} paths: choose another scene");
+    (effort as u32, c)
+}
+
+fn margin(truth: f64) -> Margin {
+    // A fail at 10⁻⁶: about a hundred of these tests run, with fixed seeds.
+    Margin { delta: DELTA * truth, equivalence_alpha: ALPHA, difference_alpha: 1e-6 }
+}
+
+/// A sample's equivalence to `truth`, by TOST with margin δ · truth.
+pub(crate) fn against(sample: &Moments, truth: f64) -> Equivalence {
+    equivalence(&t_test(sample, truth), &margin(truth))
+}
+
+/// Asserts that a technique's mean is `truth`, and that it is not 1.01 · `truth`; within 10⁻⁵ where there is no noise.
+#[track_caller]
+pub(crate) fn assert_mean(stage: &Stage, spec: &str, shot: Shot, truth: f64) {
+    let (effort, c) = effort(stage, spec, shot, 1.0);
+    assert_mean_with(stage, spec, Shot { effort, ..shot }, c, truth);
+}
+
+#[track_caller]
+fn assert_mean_with(stage: &Stage, spec: &str, shot: Shot, c: f64, truth: f64) {
+    let sample = restarts(stage, spec, shot, RESTARTS);
+    let n = RESTARTS as f64 * f64::from(shot.effort) * shot.pixels() as f64;
+    let result = against(&sample, truth);
+    println!(
+        "{} | {spec} | depth {} | n {n:.2e} | c {c:.3} | bias {:+.4} % | half width {:.4} %",
+        stage.scene().name,
+        shot.depth,
+        100.0 * result.test.difference / truth,
+        50.0 * (result.interval.1 - result.interval.0) / truth,
+    );
+    if c < 1e-4 {
+        // No noise but that of rounding, of whose distribution nothing is known.
+        assert!(result.test.difference.abs() < 1e-5 * truth, "{spec}, truth {truth}: {result:?}");
+        return;
+    }
+    assert_eq!(result.verdict, Verdict::Pass, "{spec}, truth {truth}: {result:?}");
+    let control = against(&sample, 1.01 * truth);
+    assert_eq!(control.verdict, Verdict::Fail, "{spec}, the control must fail: {control:?}");
+}
+
+/// [`assert_mean`] for every technique that claims it and does not need very many paths for it.
+#[track_caller]
+pub(crate) fn assert_means(scene: Scene, shot: Shot, truth: f64) {
+    let stage = Stage::new(scene).unwrap();
+    let names = unbiased(&stage, &shot);
+    assert!(names.contains(&"nee"));
+    for name in names {
+        let (effort, c) = effort(&stage, name, shot, 1.0);
+        if name != "nee" && c > 1.8 {
+            println!("{}: left out `{name}`: c {c:.1} would take too long", stage.scene().name);
+        } else {
+            assert_mean_with(&stage, name, Shot { effort, ..shot }, c, truth);
+        }
+    }
+}
+
+/// Asserts that two ways to the same picture have the same mean, and that a hundredth more would be seen.
+#[track_caller]
+pub(crate) fn assert_same_mean(a: (&Stage, Shot), b: (&Stage, Shot), spec: &str) {
+    let sample = |(stage, shot): (&Stage, Shot), first: u64| {
+        let (effort, _) = effort(stage, spec, shot, 2.0);
+        restarts(stage, spec, Shot { effort, run: shot.run + first, ..shot }, RESTARTS)
+    };
+    let (x, y) = (sample(a, 0).estimate(), sample(b, 1 << 20).estimate());
+    let result = equivalence(&welch(&x, &y), &margin(y.mean));
+    assert_eq!(result.verdict, Verdict::Pass, "{spec}: {result:?}");
+    let brighter = Estimate { mean: 1.01 * y.mean, ..y };
+    let control = equivalence(&welch(&x, &brighter), &margin(y.mean));
+    assert_eq!(control.verdict, Verdict::Fail, "{spec}, the control must fail: {control:?}");
+}
+
+/// Asserts that every pixel is `truth` to within `tolerance` of it: there is no noise, so no statistics.
+#[track_caller]
+pub(crate) fn assert_exact(picture: &Picture, truth: f64, tolerance: f64) {
+    for pixel in &picture.pixels {
+        let error = f64::from(pixel.x) / truth - 1.0;
+        assert!(error.abs() <= tolerance, "{pixel} instead of {truth}: {error:e}");
+    }
+    let control = f64::from(picture.pixels[0].x) / (1.01 * truth) - 1.0;
+    assert!(control.abs() > tolerance, "the control must fail");
 }

@@ -1,0 +1,224 @@
+//! What a scene does not need costs nothing (counters are 0) and changes nothing (bits are those of the scene without it).
+
+use std::sync::Arc;
+
+use afterimage::frame::{FrameLoop, Stage};
+use afterimage::path::Counters;
+use afterimage::plan::{Filter, Shot};
+use afterimage::scene::{
+    Channel, Color, LightKind, Material, Scalar, Scene, Texture, TextureKind, Track, Transform,
+};
+use afterimage::techniques::{REGISTRY, parse};
+use glam::{Affine2, Affine3A, Vec3, Vec4};
+
+use crate::support::{bits, diffuse, environment, last_frame, light, polygon, room, shot};
+
+fn shots() -> [Shot; 2] {
+    let point = shot([24, 16], 5, 2);
+    [point, Shot { filter: Filter::Box, ..point }]
+}
+
+fn skips(stage: &Stage, name: &str, shot: &Shot, what: &str) -> bool {
+    let plan = parse(name).unwrap().plan(stage.facts(), shot);
+    plan.skipped.iter().any(|skip| skip.what == what)
+}
+
+fn work(stage: &Stage, name: &str, shot: Shot, frames: u32) -> Vec<Counters> {
+    let technique = Arc::from(parse(name).unwrap());
+    let mut frame_loop = FrameLoop::new(technique, stage, shot).unwrap();
+    (0..frames).map(|_| frame_loop.render().unwrap().counters).collect()
+}
+
+/// Asserts that two scenes give the same bits by the same work.
+#[track_caller]
+fn assert_same(a: &Scene, b: &Scene) {
+    let stages = [a, b].map(|scene| Stage::new(scene.clone()).unwrap());
+    for shot in shots() {
+        for entry in REGISTRY {
+            let [x, y] = stages.each_ref().map(|stage| last_frame(stage, entry.name, shot, 2));
+            assert!(x.0.mean_luminance() > 0.0, "nothing is seen");
+            assert!(bits(&x.0) == bits(&y.0), "{} gives other bits", entry.name);
+            assert_eq!(x.1, y.1, "{} does other work", entry.name);
+        }
+    }
+}
+
+fn without_lights() -> Scene {
+    let mut scene = room();
+    for object in &mut scene.objects {
+        Arc::make_mut(object).shapes[0].emission = None;
+    }
+    scene
+}
+
+#[test]
+fn no_light_no_shadow_ray() {
+    let stage = Stage::new(without_lights()).unwrap();
+    for shot in shots() {
+        for entry in REGISTRY {
+            assert!(entry.name == "bsdf" || skips(&stage, entry.name, &shot, "light sampling"));
+            for counters in work(&stage, entry.name, shot, 2) {
+                assert_eq!((counters.shadow_rays, counters.shadow_rays_saved), (0, 0));
+            }
+        }
+    }
+    // The control: with lights there are some.
+    assert!(work(&Stage::new(room()).unwrap(), "nee", shots()[0], 1)[0].shadow_rays > 0);
+}
+
+#[test]
+fn bsdf_sampling_alone_asks_for_no_shadow() {
+    for counters in work(&Stage::new(room()).unwrap(), "bsdf", shots()[0], 2) {
+        assert_eq!((counters.shadow_rays, counters.shadow_rays_saved), (0, 0));
+    }
+}
+
+#[test]
+fn a_depth_of_one_scatters_nothing() {
+    let stage = Stage::new(room()).unwrap();
+    for shot in shots() {
+        for entry in REGISTRY {
+            for counters in work(&stage, entry.name, Shot { depth: 1, ..shot }, 2) {
+                assert_eq!((counters.bounce_rays, counters.shadow_rays), (0, 0));
+            }
+        }
+    }
+}
+
+#[test]
+fn mirrors_only_need_no_light_sample() {
+    let mut scene = room();
+    let mirror = crate::support::metal(&mut scene, 0.0);
+    let material = scene.materials[mirror.index()];
+    scene.materials.iter_mut().for_each(|m| *m = material);
+    let stage = Stage::new(scene).unwrap();
+    for counters in work(&stage, "nee", shots()[0], 1) {
+        assert_eq!((counters.shadow_rays, counters.shadow_rays_saved), (0, 0));
+        assert!(counters.bounce_rays > 0);
+    }
+}
+
+#[test]
+fn black_surfaces_end_paths_without_a_ray() {
+    let mut scene = room();
+    let nothing = Material::Diffuse { reflectance: Color::Constant(Vec3::ZERO) };
+    scene.materials.iter_mut().for_each(|material| *material = nothing);
+    let stage = Stage::new(scene).unwrap();
+    for entry in REGISTRY {
+        for counters in work(&stage, entry.name, shots()[0], 1) {
+            assert_eq!((counters.bounce_rays, counters.shadow_rays), (0, 0));
+        }
+    }
+}
+
+#[test]
+fn primary_rays_of_a_still_scene_are_traced_once() {
+    let mut moving = room();
+    moving.time = [0.0, 1.0];
+    let camera = moving.camera.to_world.fixed();
+    let mut end = camera;
+    end.translation.x += 0.25;
+    let at = |affine: Affine3A| affine.translation.into();
+    let (_, rotation, _) = camera.to_scale_rotation_translation();
+    moving.camera.to_world = Transform::Chain(vec![Track::Trs {
+        translation: afterimage::scene::Curve {
+            keys: vec![(0.0, at(camera)), (1.0, at(end))],
+            interpolation: afterimage::scene::Interpolation::Linear,
+        },
+        rotation: afterimage::scene::Curve::constant(rotation),
+        scale: afterimage::scene::Curve::constant(Vec3::ONE),
+    }]);
+    let (still, moving) = (Stage::new(room()).unwrap(), Stage::new(moving).unwrap());
+    let pixels = 24 * 16;
+    let [point, boxed] = shots();
+    for entry in REGISTRY {
+        let primary = |stage: &Stage, shot: Shot| -> Vec<u64> {
+            work(stage, entry.name, shot, 3).iter().map(|c| c.primary_rays).collect()
+        };
+        let what = "primary rays after the first frame";
+        assert!(
+            skips(&still, entry.name, &point, what) && !skips(&moving, entry.name, &point, what)
+        );
+        assert_eq!(primary(&still, point), [pixels, 0, 0]);
+        assert_eq!(primary(&moving, point), [pixels; 3]);
+        // Each of a pixel's two samples has a ray of its own.
+        assert_eq!(primary(&still, boxed), [2 * pixels; 3]);
+    }
+}
+
+#[test]
+fn an_opaque_coverage_mask_is_none() {
+    let scene = room();
+    let with = |scene: &Scene, alpha: Scalar| {
+        let mut scene = scene.clone();
+        for object in &mut scene.objects {
+            Arc::make_mut(object).shapes[0].alpha = Some(alpha);
+        }
+        scene
+    };
+    assert_same(&scene, &with(&scene, Scalar::Constant(1.0)));
+    // The same through a texture: the mask is looked up at every hit and always says yes.
+    let mut textured = scene.clone();
+    let kind = TextureKind::Constant(Vec4::ONE);
+    let texture = textured.add_texture(Texture { kind, mapping: Affine2::IDENTITY });
+    let textured = with(&textured, Scalar::Texture(texture, Channel::Alpha));
+    let shot = &shots()[0];
+    let coverage = "coverage lookups at every hit";
+    assert!(skips(&Stage::new(scene.clone()).unwrap(), "nee", shot, coverage));
+    assert!(!skips(&Stage::new(textured.clone()).unwrap(), "nee", shot, coverage));
+    assert_same(&scene, &textured);
+}
+
+#[test]
+fn a_surface_without_coverage_is_not_there() {
+    let mut scene = room();
+    let white = diffuse(&mut scene, 0.5);
+    let mut more = scene.clone();
+    let corners = [(-1.0, 0.5), (1.0, 0.5), (1.0, 1.5), (-1.0, 1.5)];
+    let veil = polygon(&corners.map(|(x, y)| Vec3::new(x, y, -0.875)));
+    let mut shape = afterimage::scene::Shape::new(veil, white);
+    shape.alpha = Some(Scalar::Constant(0.0));
+    more.add_shape(shape);
+    assert_same(&scene, &more);
+}
+
+#[test]
+fn black_lights_are_none() {
+    let mut scene = room();
+    scene.lights.clear();
+    let mut sky = scene.clone();
+    environment(&mut sky, Vec3::ZERO);
+    assert!(skips(&Stage::new(sky.clone()).unwrap(), "nee", &shots()[0], "environment lookups"));
+    assert_same(&scene, &sky);
+    let mut point = scene.clone();
+    light(&mut point, LightKind::Point { intensity: Vec3::ZERO }, Affine3A::IDENTITY);
+    assert_same(&scene, &point);
+}
+
+#[test]
+fn a_texture_of_one_colour_is_the_colour() {
+    let scene = room();
+    let mut textured = scene.clone();
+    for i in 0..textured.materials.len() {
+        if let Material::Diffuse { reflectance: Color::Constant(rgb) } = textured.materials[i] {
+            let kind = TextureKind::Constant(rgb.extend(1.0));
+            let texture = textured.add_texture(Texture { kind, mapping: Affine2::IDENTITY });
+            textured.materials[i] = Material::Diffuse { reflectance: Color::Texture(texture) };
+        }
+    }
+    assert_same(&scene, &textured);
+}
+
+#[test]
+fn a_chain_that_does_not_move_is_still() {
+    let scene = room();
+    let mut chained = scene.clone();
+    let chain = |transform: &mut Transform| {
+        *transform = Transform::Chain(vec![Track::Fixed(transform.fixed())]);
+    };
+    chain(&mut chained.camera.to_world);
+    chained.instances.iter_mut().for_each(|instance| chain(&mut instance.to_world));
+    chained.time = [0.0, 1.0];
+    assert!(!Stage::new(chained.clone()).unwrap().facts().moves());
+    assert_same(&scene, &chained);
+}

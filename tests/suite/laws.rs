@@ -1,0 +1,215 @@
+//! The laws in the documentation of `Technique`, for every entry of the registry.
+//!
+//! The third, that means agree with claims, is what `oracles` tests for unbiased ones; here a biased one must be what it says.
+
+use std::sync::Arc;
+
+use afterimage::accel::Ray;
+use afterimage::frame::{FrameLoop, Stage};
+use afterimage::plan::{Claim, Domain, Elements, Filter, Kernel, Plan, Shot};
+use afterimage::scene::{LightKind, Scalar, Scene};
+use afterimage::techniques::{
+    Band, Buffer, FrameInputs, MAX_WRITES, PrimaryHit, REGISTRY, Technique, parse,
+};
+use glam::{Affine3A, Vec3};
+
+use crate::support::{bits, environment, light, room, shot};
+
+/// Scenes that differ in what they need.
+fn scenes() -> Vec<Scene> {
+    let mut dark = room();
+    dark.name = "no lights".into();
+    for object in &mut dark.objects {
+        Arc::make_mut(object).shapes[0].emission = None;
+    }
+    let mut points = dark.clone();
+    points.name = "point lights".into();
+    let kind = LightKind::Point { intensity: Vec3::splat(0.5) };
+    light(&mut points, kind, Affine3A::from_translation(Vec3::Y));
+    let mut sky = dark.clone();
+    sky.name = "sky".into();
+    environment(&mut sky, Vec3::splat(0.5));
+    let mut leaky = room();
+    leaky.name = "coverage".into();
+    Arc::make_mut(&mut leaky.objects[2]).shapes[0].alpha = Some(Scalar::Constant(0.5));
+    environment(&mut leaky, Vec3::splat(0.5));
+    let mut empty = Scene::new("empty");
+    environment(&mut empty, Vec3::ONE);
+    vec![room(), dark, points, sky, leaky, empty]
+}
+
+fn shots() -> Vec<Shot> {
+    let mut all = Vec::new();
+    for filter in [Filter::Point, Filter::Box] {
+        for (depth, effort) in [(1, 1), (2, 1), (6, 1), (6, 3)] {
+            all.push(Shot { filter, depth, effort, ..shot([19, 13], 1, 1) });
+        }
+    }
+    all
+}
+
+#[test]
+fn a_spec_gives_the_same_technique_again() {
+    for entry in REGISTRY {
+        let mut specs = vec![entry.name.to_string()];
+        for parameter in entry.parameters {
+            for value in ["0", "1", "2", "3", "7", "0.5", "true", "false", parameter.default] {
+                specs.push(format!("{}:{}={value}", entry.name, parameter.key));
+            }
+        }
+        let mut known = 0;
+        for spec in specs {
+            let Ok(technique) = parse(&spec) else { continue };
+            known += 1;
+            let again = parse(&technique.spec()).unwrap();
+            assert_eq!(again.spec(), technique.spec());
+            assert_eq!(format!("{again:?}"), format!("{technique:?}"), "{spec}");
+        }
+        assert!(
+            known > 2 * entry.parameters.len(),
+            "hardly any value of `{}` was tried",
+            entry.name
+        );
+    }
+}
+
+#[test]
+fn names_are_unique_and_parameters_described() {
+    for (i, entry) in REGISTRY.iter().enumerate() {
+        assert!(REGISTRY[..i].iter().all(|other| other.name != entry.name));
+        assert!(!entry.about.is_empty());
+        for parameter in entry.parameters {
+            assert!(!parameter.about.is_empty() && !parameter.default.is_empty());
+        }
+    }
+}
+
+#[test]
+fn counters_stay_within_the_plan_and_buffers_within_reason() {
+    for scene in scenes() {
+        let stage = Stage::new(scene).unwrap();
+        for entry in REGISTRY {
+            for shot in shots() {
+                let technique = Arc::from(parse(entry.name).unwrap());
+                let mut frame_loop = FrameLoop::new(technique, &stage, shot).unwrap();
+                let plan = frame_loop.plan().clone();
+                assert_eq!(plan.technique, entry.name);
+                assert_eq!(plan.buffers[..3], Plan::standard_buffers()[..]);
+                for pass in &plan.passes {
+                    assert!(pass.writes.len() <= MAX_WRITES);
+                    assert!(pass.writes.iter().all(|id| id.0 < plan.buffers.len()));
+                }
+                for frame in 0..3 {
+                    let work = frame_loop.render().unwrap().counters;
+                    let at = format!(
+                        "{} on {} in frame {frame}: {work:?}",
+                        entry.name,
+                        stage.scene().name
+                    );
+                    let most = plan.rays_per_pixel.map(|rays| rays * shot.pixels() as u64);
+                    assert!(work.primary_rays <= most[0], "{at}");
+                    assert!(work.bounce_rays <= most[1], "{at}");
+                    assert!(work.shadow_rays <= most[2], "{at}");
+                    assert!(work.shadow_rays + work.shadow_rays_saved <= most[2], "{at}");
+                    assert_eq!(work.non_finite, 0, "{at}");
+                }
+            }
+        }
+    }
+}
+
+/// Runs a plan's passes over single pixels in bands of `rows` rows, in reverse order, without the frame loop.
+fn in_bands(technique: &dyn Technique, stage: &Stage, shot: Shot, rows: u32) -> Vec<[u32; 3]> {
+    let world = stage.first_world();
+    let plan = technique.plan(stage.facts(), &shot);
+    let [width, height] = shot.size;
+    let mut buffers: Vec<Buffer> = plan
+        .buffers
+        .iter()
+        .map(|buffer| {
+            assert_eq!(buffer.elements, Elements::Pixels);
+            let words = vec![0; shot.pixels() * buffer.bytes as usize / 4];
+            Buffer { previous: Vec::new(), current: words }
+        })
+        .collect();
+    let camera = world.scene.camera.rays(shot.size);
+    for pass in &plan.passes {
+        assert_eq!(pass.domain, Domain::Pixels, "another domain needs a test of its own");
+        let mut owned: Vec<Vec<u32>> =
+            pass.writes.iter().map(|id| std::mem::take(&mut buffers[id.0].current)).collect();
+        let inputs =
+            FrameInputs { world, previous: None, shot, camera, frame: 0, buffers: &buffers };
+        match pass.kernel {
+            Kernel::PrimaryHits => {
+                let hits: &mut [PrimaryHit] = bytemuck::cast_slice_mut(&mut owned[0]);
+                for (pixel, hit) in hits.iter_mut().enumerate() {
+                    let at = inputs.sample_position(pixel as u32 % width, pixel as u32 / width, 0);
+                    let ray = camera.ray(at);
+                    let ray =
+                        Ray { origin: ray.origin, direction: ray.direction, t_max: f32::INFINITY };
+                    *hit = world.closest_hit(&ray).into();
+                }
+            }
+            Kernel::Technique(kernel) => {
+                let starts: Vec<u32> = (0..height).step_by(rows as usize).collect();
+                for &start in starts.iter().rev() {
+                    let range = start..(start + rows).min(height);
+                    let mut slots: [&mut [u32]; MAX_WRITES] = Default::default();
+                    for ((slot, words), id) in slots.iter_mut().zip(&mut owned).zip(&pass.writes) {
+                        let row = width as usize * plan.buffers[id.0].bytes as usize / 4;
+                        *slot = &mut words[range.start as usize * row..range.end as usize * row];
+                    }
+                    technique.run(kernel, &inputs, &mut Band::new(range, width, slots));
+                }
+            }
+        }
+        for (id, words) in pass.writes.iter().zip(owned) {
+            buffers[id.0].current = words;
+        }
+    }
+    let radiance: &[[u32; 3]] = bytemuck::cast_slice(&buffers[Plan::RADIANCE.0].current);
+    radiance.to_vec()
+}
+
+#[test]
+fn how_the_picture_is_cut_into_bands_changes_no_bit() {
+    for scene in scenes() {
+        let stage = Stage::new(scene).unwrap();
+        for entry in REGISTRY {
+            for shot in shots() {
+                let technique = parse(entry.name).unwrap();
+                let mut frame_loop =
+                    FrameLoop::new(Arc::from(parse(entry.name).unwrap()), &stage, shot).unwrap();
+                let whole = bits(&frame_loop.render().unwrap().picture());
+                for rows in [1, 5, 13] {
+                    assert_eq!(whole, in_bands(&*technique, &stage, shot, rows), "{}", entry.name);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn claims_say_what_a_technique_cannot_see() {
+    let shot = shot([16, 16], 4, 4);
+    for scene in scenes() {
+        let stage = Stage::new(scene).unwrap();
+        let mean = |spec: &str| {
+            let technique = Arc::from(parse(spec).unwrap());
+            let mut frame_loop = FrameLoop::new(technique, &stage, shot).unwrap();
+            let claim = frame_loop.plan().claim.clone();
+            (frame_loop.render().unwrap().picture().mean_luminance(), claim)
+        };
+        let (reference, claim) = mean("nee");
+        assert_eq!(claim, Claim::Unbiased);
+        let (bsdf, claim) = mean("bsdf");
+        if stage.facts().lights.delta > 0 {
+            let Claim::Biased(why) = claim else { panic!("{claim}") };
+            assert!(why.contains("never finds point"), "{why}");
+            assert!(bsdf == 0.0 && reference > 0.0);
+        } else {
+            assert_eq!(claim, Claim::Unbiased);
+            assert_eq!(bsdf > 0.0, reference > 0.0);
+        }
+    }
+}
