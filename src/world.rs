@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use glam::{Vec3, Vec3A};
 
-use crate::accel::{AcceptAll, Accel, BuildOptions, Hit, HitFilter, HitPoint, Ray};
+use crate::accel::{Accel, AcceptAll, BuildOptions, Hit, HitFilter, HitPoint, Ray};
 use crate::error::Result;
 use crate::light::Lights;
 use crate::scene::{Geometry, Scene};
@@ -47,7 +47,11 @@ impl World {
     /// # Errors
     /// As [`World::new`].
     pub fn next(&self, scene: Scene) -> Result<Self> {
-        let accel = if same_geometry(&self.scene, &scene) { self.accel.clone() } else { self.accel.rebuild(&scene)? };
+        let accel = if same_geometry(&self.scene, &scene) {
+            self.accel.clone()
+        } else {
+            self.accel.rebuild(&scene)?
+        };
         Ok(Self::with_accel(scene, accel))
     }
 
@@ -107,7 +111,10 @@ fn same_geometry(a: &Scene, b: &Scene) -> bool {
     a.objects.len() == b.objects.len()
         && a.instances.len() == b.instances.len()
         && a.objects.iter().zip(&b.objects).all(|(a, b)| Arc::ptr_eq(a, b))
-        && a.instances.iter().zip(&b.instances).all(|(a, b)| a.object == b.object && a.to_world.fixed() == b.to_world.fixed())
+        && a.instances
+            .iter()
+            .zip(&b.instances)
+            .all(|(a, b)| a.object == b.object && a.to_world.fixed() == b.to_world.fixed())
 }
 
 /// The world-space box around all shapes; the unit box around the origin for an empty scene.

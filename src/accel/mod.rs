@@ -157,15 +157,28 @@ struct Cold {
 
 impl Cold {
     /// A triangle of a mesh. `to_tree` transforms normals (the inverse transpose).
-    fn triangle(mesh: &crate::scene::Mesh, element: usize, reverse: bool, to_tree: Option<&DMat3>) -> Self {
+    fn triangle(
+        mesh: &crate::scene::Mesh,
+        element: usize,
+        reverse: bool,
+        to_tree: Option<&DMat3>,
+    ) -> Self {
         let corners = mesh.triangles[element].map(|i| i as usize);
         let to_tree = |n: DVec3| to_tree.map_or(n, |m| *m * n);
         let p = corners.map(|i| mesh.positions[i].as_dvec3());
         let side = f64::from(triangle_orientation(mesh, element, reverse));
         let normal = to_tree((p[1] - p[0]).cross(p[2] - p[0]) * side).normalize_or_zero().as_vec3();
         let smooth = !mesh.normals.is_empty();
-        let normals = if smooth { corners.map(|i| to_tree(mesh.normals[i].as_dvec3()).as_vec3()) } else { [normal; 3] };
-        let uvs = if mesh.uvs.is_empty() { [Vec2::ZERO, Vec2::X, Vec2::ONE] } else { corners.map(|i| mesh.uvs[i]) };
+        let normals = if smooth {
+            corners.map(|i| to_tree(mesh.normals[i].as_dvec3()).as_vec3())
+        } else {
+            [normal; 3]
+        };
+        let uvs = if mesh.uvs.is_empty() {
+            [Vec2::ZERO, Vec2::X, Vec2::ONE]
+        } else {
+            corners.map(|i| mesh.uvs[i])
+        };
         Self { shape: 0, element: element as u32, instance: 0, smooth, normal, normals, uvs }
     }
 }
@@ -404,7 +417,11 @@ impl Gather {
                         let mut cold = Cold { shape: number, instance, ..Cold::default() };
                         if area > 0.0 {
                             let reverse = shape.reverse_orientation;
-                            cold = Cold { shape: number, instance, ..Cold::triangle(mesh, element, reverse, normals.as_ref()) };
+                            cold = Cold {
+                                shape: number,
+                                instance,
+                                ..Cold::triangle(mesh, element, reverse, normals.as_ref())
+                            };
                         }
                         self.push(Slot::triangle(p), cold, bounds, area > 0.0);
                     }

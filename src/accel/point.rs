@@ -116,7 +116,8 @@ impl Accel {
     #[must_use]
     pub fn shape_of(&self, hit: &Hit) -> (u32, u32) {
         let cold = &self.bottom(hit.instance).cold[hit.primitive as usize];
-        let first = if self.top.is_some() { self.placements[hit.instance as usize].first_shape } else { 0 };
+        let first =
+            if self.top.is_some() { self.placements[hit.instance as usize].first_shape } else { 0 };
         (first + cold.shape, cold.element)
     }
 
@@ -131,18 +132,25 @@ impl Accel {
             Geometry::Mesh(_) => {
                 let slot = &bottom.slots[hit.primitive as usize];
                 let (e1, e2) = (slot.column(1) - slot.column(0), slot.column(2) - slot.column(0));
-                let (d1, d2) = ((cold.uvs[1] - cold.uvs[0]).as_dvec2(), (cold.uvs[2] - cold.uvs[0]).as_dvec2());
+                let (d1, d2) = (
+                    (cold.uvs[1] - cold.uvs[0]).as_dvec2(),
+                    (cold.uvs[2] - cold.uvs[0]).as_dvec2(),
+                );
                 let dpdu = (e1 * d2.y - e2 * d1.y) / d1.perp_dot(d2);
                 if self.top.is_some() { placement.to_world64.transform_vector3(dpdu) } else { dpdu }
             }
             Geometry::Sphere { radius, .. } => {
                 let at = sphere_decode(Vec2::new(hit.u, hit.v)) * f64::from(*radius);
-                placement.to_world64.transform_vector3(DVec3::new(-at.y, at.x, 0.0) * std::f64::consts::TAU)
+                placement
+                    .to_world64
+                    .transform_vector3(DVec3::new(-at.y, at.x, 0.0) * std::f64::consts::TAU)
             }
             Geometry::Disk { normal, radius, .. } => {
                 let (s, t) = disk_tangents(normal.as_dvec3().normalize());
                 let (u, v) = (f64::from(hit.u), f64::from(hit.v));
-                placement.to_world64.transform_vector3((t * u - s * v) * (f64::from(*radius) * std::f64::consts::TAU))
+                placement.to_world64.transform_vector3(
+                    (t * u - s * v) * (f64::from(*radius) * std::f64::consts::TAU),
+                )
             }
         };
         let dpdu = dpdu.as_vec3();

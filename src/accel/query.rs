@@ -116,7 +116,8 @@ fn run<K: Kernel, F: HitFilter, const ANY: bool>(
         let mut primitives =
             Primitives::new(&mut query, bottom, None, (origin.as_dvec3(), direction.as_dvec3()));
         traverse::<STACK, K, _>(kernel, &bottom.tree, &boxes, &mut primitives);
-        if F::ALL && !ANY
+        if F::ALL
+            && !ANY
             && let Some(hit) = &mut query.best
         {
             hit.instance = bottom.cold[hit.primitive as usize].instance;

@@ -702,7 +702,11 @@ fn sphere_point_by_hand() {
     let p = accel.point(&hit);
     assert_eq!((hit.t, p.position), (7.0, Vec3::new(0.0, -2.0, 5.0)));
     assert_eq!((p.geometric_normal, p.uv), (-Vec3::Y, Vec2::new(0.75, 0.5)));
-    assert!((accel.tangent(&hit) - Vec3::X * 2.0 * std::f32::consts::TAU).length() < 1e-5, "{}", accel.tangent(&hit));
+    assert!(
+        (accel.tangent(&hit) - Vec3::X * 2.0 * std::f32::consts::TAU).length() < 1e-5,
+        "{}",
+        accel.tangent(&hit)
+    );
 }
 
 #[test]

@@ -93,8 +93,13 @@ pub(super) fn traverse<const STACK: usize, K: Kernel, V: Visitor<K> + Visitor<Po
 /// The same search from the start (what was found so far still bounds it), with a stack that no tree overflows.
 #[cold]
 #[inline(never)]
-fn deep<const STACK: usize, V: Visitor<Portable>>(nodes: &[CwBvhNode], ray: &BoxRay, visitor: &mut V) -> bool {
-    cwbvh::<STACK, Portable, V>(Portable, nodes, ray, visitor).expect("the build bounds a tree's depth by its stack")
+fn deep<const STACK: usize, V: Visitor<Portable>>(
+    nodes: &[CwBvhNode],
+    ray: &BoxRay,
+    visitor: &mut V,
+) -> bool {
+    cwbvh::<STACK, Portable, V>(Portable, nodes, ray, visitor)
+        .expect("the build bounds a tree's depth by its stack")
 }
 
 /// `None`: the stack is too small.

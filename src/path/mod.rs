@@ -184,8 +184,10 @@ pub fn scattered_radiance<const NEE: bool, F: HitFilter>(
             let cos_light = -direction.dot(point.geometric_normal);
             let emission = world.lights.emitted(&world.scene, light, point.uv, cos_light);
             if emission != Vec3::ZERO {
-                let pdf = world.lights.pdf_towards(light, surface.position, point.position, cos_light);
-                radiance += throughput * emission * weight(world.lights.choice_probability(light), pdf);
+                let pdf =
+                    world.lights.pdf_towards(light, surface.position, point.position, cos_light);
+                radiance +=
+                    throughput * emission * weight(world.lights.choice_probability(light), pdf);
             }
         }
     }

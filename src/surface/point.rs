@@ -34,7 +34,13 @@ impl SurfacePoint {
     /// Looks up the material at a hit, whose geometry is `point`.
     #[inline]
     #[must_use]
-    pub fn new(scene: &Scene, shapes: &[ShapeInfo], accel: &Accel, hit: &Hit, point: &HitPoint) -> Self {
+    pub fn new(
+        scene: &Scene,
+        shapes: &[ShapeInfo],
+        accel: &Accel,
+        hit: &Hit,
+        point: &HitPoint,
+    ) -> Self {
         let shape = &shapes[point.shape as usize];
         let frame = if shape.anisotropic {
             Frame::from_normal_and_tangent(point.shading_normal, accel.tangent(hit))

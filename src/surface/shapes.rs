@@ -35,13 +35,13 @@ pub fn placed_shapes(scene: &Scene) -> Vec<ShapeInfo> {
 /// Whether a material's lobes have two different roughnesses.
 fn anisotropic(scene: &Scene, material: &Material) -> bool {
     match material {
-        Material::Conductor { roughness, .. } | Material::Dielectric { roughness, .. } | Material::CoatedDiffuse { roughness, .. } => {
-            match (roughness.u, roughness.v) {
-                (Scalar::Constant(u), Scalar::Constant(v)) => u != v,
-                (Scalar::Texture(u, from_u), Scalar::Texture(v, from_v)) => (u, from_u) != (v, from_v),
-                _ => true,
-            }
-        }
+        Material::Conductor { roughness, .. }
+        | Material::Dielectric { roughness, .. }
+        | Material::CoatedDiffuse { roughness, .. } => match (roughness.u, roughness.v) {
+            (Scalar::Constant(u), Scalar::Constant(v)) => u != v,
+            (Scalar::Texture(u, from_u), Scalar::Texture(v, from_v)) => (u, from_u) != (v, from_v),
+            _ => true,
+        },
         Material::Mix { first, second, .. } => {
             // Parts of a mix are not mixes, as validation has checked.
             [first, second].iter().any(|part| anisotropic(scene, &scene.materials[part.index()]))

@@ -121,7 +121,10 @@ fn modules_import_only_what_the_table_allows() {
             .to_string_lossy()
             .replace(".rs", "");
         // A module's unit tests may use anything.
-        if first == "lib" || first == "main" || file.file_name().is_some_and(|name| name == "tests.rs") {
+        if first == "lib"
+            || first == "main"
+            || file.file_name().is_some_and(|name| name == "tests.rs")
+        {
             continue;
         }
         assert!(
