@@ -28,7 +28,7 @@ fn frames(criterion: &mut Criterion) {
             let first = frames.render().expect("a frame");
             assert_eq!((first.counters.non_finite, first.picture().non_finite()), (0, 0));
             group.bench_function(entry.name, |bencher| {
-                bencher.iter(|| frames.render().expect("a frame").counters)
+                bencher.iter(|| frames.render().expect("a frame").counters);
             });
         }
         group.finish();

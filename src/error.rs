@@ -41,6 +41,10 @@ pub(crate) enum ErrorKind {
 
 /// A position inside a file.
 #[derive(Clone, Debug)]
+#[cfg_attr(
+    not(any(feature = "load", test)),
+    expect(dead_code, reason = "only what reads and writes files makes one")
+)]
 enum Place {
     Line { line: u32, column: u32 },
     Json(String),
@@ -52,16 +56,6 @@ impl Error {
         Self { inner: Box::new(inner) }
     }
 
-    /// Something well formed that this crate does not read.
-    pub(crate) fn unsupported(message: impl Into<String>) -> Self {
-        Self::new(ErrorKind::Unsupported, message)
-    }
-
-    /// Bytes that are not what they claim to be.
-    pub(crate) fn syntax(message: impl Into<String>) -> Self {
-        Self::new(ErrorKind::Syntax, message)
-    }
-
     /// A value out of its range, an index to nothing.
     pub(crate) fn invalid(message: impl Into<String>) -> Self {
         Self::new(ErrorKind::Invalid, message)
@@ -70,46 +64,6 @@ impl Error {
     /// A wrong option or specification.
     pub(crate) fn usage(message: impl Into<String>) -> Self {
         Self::new(ErrorKind::Usage, message)
-    }
-
-    /// A failed read or write of `path`.
-    pub(crate) fn io(path: impl AsRef<Path>, error: std::io::Error) -> Self {
-        let message = match error.kind() {
-            std::io::ErrorKind::NotFound => "no such file".to_string(),
-            _ => error.to_string(),
-        };
-        Self::new(ErrorKind::Io, message).with_path(path).with_source(error)
-    }
-
-    /// Adds the file, unless an inner call already named one.
-    #[must_use]
-    pub(crate) fn with_path(mut self, path: impl AsRef<Path>) -> Self {
-        self.inner.path.get_or_insert_with(|| path.as_ref().to_path_buf());
-        self
-    }
-
-    /// Adds line and column (both from 1), unless an inner call already did.
-    #[must_use]
-    pub(crate) fn at_line(mut self, line: u32, column: u32) -> Self {
-        self.inner.place.get_or_insert(Place::Line { line, column });
-        self
-    }
-
-    /// Adds a JSON path such as `materials[3].pbrMetallicRoughness`, unless an inner call already did.
-    #[must_use]
-    pub(crate) fn at_json(mut self, path: impl Into<String>) -> Self {
-        self.inner.place.get_or_insert_with(|| Place::Json(path.into()));
-        self
-    }
-
-    /// Keeps the error that caused this one.
-    #[must_use]
-    pub(crate) fn with_source(
-        mut self,
-        source: impl Into<Box<dyn std::error::Error + Send + Sync>>,
-    ) -> Self {
-        self.inner.source = Some(source.into());
-        self
     }
 
     /// The file that the error is about, if it is about one.
@@ -161,6 +115,63 @@ impl Error {
     #[must_use]
     pub fn is_interrupted(&self) -> bool {
         self.inner.kind == ErrorKind::Interrupted
+    }
+}
+
+/// What only the readers and writers of files say.
+#[cfg_attr(
+    not(any(feature = "load", test)),
+    expect(dead_code, reason = "only what reads and writes files makes these")
+)]
+impl Error {
+    /// Something well formed that this crate does not read.
+    pub(crate) fn unsupported(message: impl Into<String>) -> Self {
+        Self::new(ErrorKind::Unsupported, message)
+    }
+
+    /// Bytes that are not what they claim to be.
+    pub(crate) fn syntax(message: impl Into<String>) -> Self {
+        Self::new(ErrorKind::Syntax, message)
+    }
+
+    /// A failed read or write of `path`.
+    pub(crate) fn io(path: impl AsRef<Path>, error: std::io::Error) -> Self {
+        let message = match error.kind() {
+            std::io::ErrorKind::NotFound => "no such file".to_string(),
+            _ => error.to_string(),
+        };
+        Self::new(ErrorKind::Io, message).with_path(path).with_source(error)
+    }
+
+    /// Adds the file, unless an inner call already named one.
+    #[must_use]
+    pub(crate) fn with_path(mut self, path: impl AsRef<Path>) -> Self {
+        self.inner.path.get_or_insert_with(|| path.as_ref().to_path_buf());
+        self
+    }
+
+    /// Adds line and column (both from 1), unless an inner call already did.
+    #[must_use]
+    pub(crate) fn at_line(mut self, line: u32, column: u32) -> Self {
+        self.inner.place.get_or_insert(Place::Line { line, column });
+        self
+    }
+
+    /// Adds a JSON path such as `materials[3].pbrMetallicRoughness`, unless an inner call already did.
+    #[must_use]
+    pub(crate) fn at_json(mut self, path: impl Into<String>) -> Self {
+        self.inner.place.get_or_insert_with(|| Place::Json(path.into()));
+        self
+    }
+
+    /// Keeps the error that caused this one.
+    #[must_use]
+    pub(crate) fn with_source(
+        mut self,
+        source: impl Into<Box<dyn std::error::Error + Send + Sync>>,
+    ) -> Self {
+        self.inner.source = Some(source.into());
+        self
     }
 }
 

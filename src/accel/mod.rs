@@ -211,7 +211,6 @@ struct Placement {
     to_world64: DAffine3,
     to_object64: DAffine3,
     identity: bool,
-    mirrored: bool,
     first_shape: u32,
     /// Into [`Accel::bottoms`].
     bottom: u32,
@@ -364,7 +363,6 @@ fn placements(scene: &Scene) -> Result<Vec<Placement>> {
             to_world64,
             to_object64,
             identity: to_world == Affine3A::IDENTITY,
-            mirrored: determinant < 0.0,
             first_shape,
             bottom: 0,
         });

@@ -12,9 +12,9 @@
 //! same upwards, which is one operation a node, not one a child. The quantised planes themselves are outside of what they bound,
 //! exactly (see `build`).
 //!
-//! *Axis-parallel rays.* Where |d_i| < 2⁻³⁰ m the axis only asks whether o_i lies between the planes, and 1 / d_i may be infinite. With
-//! R ≥ |o_j| + |any coordinate|, nothing is hit beyond t = R / m and the ray drifts less than 2⁻³⁰ R along i until then. So 1 / d_i is
-//! replaced by 2³⁰ / m and the slack raised by 2 R / m: a box that is missed by more than 2⁻²⁹ R still is, one that contains o_i never.
+//! *Axis-parallel rays.* Where |`d_i`| < 2⁻³⁰ m the axis only asks whether `o_i` lies between the planes, and 1 / `d_i` may be infinite. With
+//! R ≥ |`o_j`| + |any coordinate|, nothing is hit beyond t = R / m and the ray drifts less than 2⁻³⁰ R along i until then. So 1 / `d_i` is
+//! replaced by 2³⁰ / m and the slack raised by 2 R / m: a box that is missed by more than 2⁻²⁹ R still is, one that contains `o_i` never.
 //! No infinity arises, so no NaN.
 
 use glam::{Vec3, Vec3A};

@@ -1,7 +1,7 @@
 //! The geometry at a hit: position with its error bound, normals, texture coordinates.
 //!
 //! Positions are sums of vertices by barycentric weights in f64, rounded once, so they lie in the surface to half a unit in the last
-//! place: |error_i| ≤ 2⁻²⁴ |p_i|, plus what the weights' and the transform's own f64 roundings and the f64 inverse can cost when a ray
+//! place: |`error_i`| ≤ 2⁻²⁴ |`p_i`|, plus what the weights' and the transform's own f64 roundings and the f64 inverse can cost when a ray
 //! comes back into an instance's space, 2⁻⁴⁰ times the sum of the magnitudes added (bound met for transforms of condition < 2⁻⁴⁰/2⁻⁵² = 4096
 //! relative to that sum; beyond, the offset loses its guarantee gradually).
 

@@ -146,7 +146,7 @@ impl<F: HitFilter, const ANY: bool> Query<'_, F, ANY> {
             return false;
         }
         let hit = Hit { t: (t * self.scaled.unit) as f32, u, v, primitive, instance };
-        if t == self.limit && !self.best.is_some_and(|best| self.rank(&hit) < self.rank(&best)) {
+        if t == self.limit && self.best.is_none_or(|best| self.rank(&hit) >= self.rank(&best)) {
             return false;
         }
         if !F::ALL && !self.filter.accept(self.ray, &hit) {
@@ -165,7 +165,7 @@ impl<F: HitFilter, const ANY: bool> Query<'_, F, ANY> {
         (instance, cold.shape, cold.element)
     }
 
-    /// Whether t plus its uncertainty from a rounded direction is beyond the end: 2⁻²⁴ Σ|n_i d_i| / |n·d| of t.
+    /// Whether t plus its uncertainty from a rounded direction is beyond the end: `2⁻²⁴ Σ |n_i d_i| / |n·d|` of t.
     #[inline(always)]
     fn past_end(&self, t: f64, normal: DVec3) -> bool {
         const ROUNDING: f64 = 1.0 / (1 << 24) as f64;

@@ -3,20 +3,20 @@
 //! | symbol | meaning |
 //! |---|---|
 //! | k | the axis of the largest direction component; i, j: the next two |
-//! | s | shear: (d_i / d_k, d_j / d_k, 1 / d_k) |
+//! | s | shear: `(d_i / d_k, d_j / d_k, 1 / d_k)` |
 //! | x, y, z | vertices relative to the origin, along i and j after the shear, along k before it |
 //! | E | edge functions, one for the edge opposite each vertex; det = ΣE |
 //!
 //! Two deviations. The paper works in f32 and repeats in f64 where an edge function is zero; here every vertex is sheared in f64, which
 //! one four-lane register does at once, so E needs no second look and t is exact to f32's rounding. The axes i and j are not swapped
-//! for a negative d_k: no test here depends on the winding.
+//! for a negative `d_k`: no test here depends on the winding.
 //!
 //! *Watertight*: an edge's two triangles shear the same vertices by the same operations and form the same two rounded products with
 //! opposite signs, so at any edge one of them accepts (both at E = 0). Nothing may be contracted into fused operations here.
 //!
 //! *No self-intersection*: let X, Y, Z be the largest |x|, |y|, |z| and u = 2⁻⁵³. A relative vertex costs 1 rounding, its shear 2 more
-//! on terms up to 2X, E two products and a difference: |ΔE| ≤ 16u XY. With t = Σ E z / (det d_k) and |Σ E z| ≤ 3 max|E| Z, all of it is
-//! within 2⁻⁴⁷ Z (XY + |det|) / |det d_k| of the true quotient. A hit nearer than that bound is not told from the origin's own surface
+//! on terms up to 2X, E two products and a difference: |ΔE| ≤ 16u XY. With `t = Σ E z / (det d_k)` and |Σ E z| ≤ 3 max|E| Z, all of it is
+//! within `2⁻⁴⁷ Z (XY + |det|) / |det d_k|` of the true quotient. A hit nearer than that bound is not told from the origin's own surface
 //! and dropped. A ray from `math::offset_origin` starts at least 2⁻²⁵ of its coordinates off its surface, so it passes everything else.
 
 use glam::DVec3;

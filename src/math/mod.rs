@@ -46,7 +46,7 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// A frame around a unit normal, continuous except at n_z = −0 (Duff et al. 2017, listing 3): no branch, error below 2·10⁻⁷.
+    /// A frame around a unit normal, continuous except at `n_z` = −0 (Duff et al. 2017, listing 3): no branch, error below 2·10⁻⁷.
     #[inline]
     #[must_use]
     pub fn from_normal(n: Vec3) -> Self {

@@ -192,7 +192,7 @@ pub fn sample_uniform_cone(one_minus_cos_max: f32, u: Vec2) -> Vec3 {
     direction(u.y, u.x * one_minus_cos_max)
 }
 
-/// 1/(2π (1 − cos θ_max)) for directions inside of the cone, per solid angle.
+/// `1/(2π (1 − cos θ_max))` for directions inside of the cone, per solid angle.
 #[inline]
 #[must_use]
 pub fn uniform_cone_pdf(one_minus_cos_max: f32) -> f32 {

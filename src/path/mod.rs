@@ -5,7 +5,7 @@
 //! | vertex 0 | the primary hit |
 //! | segment | an edge of the path; the primary ray is the first, so direct light has two |
 //! | `depth` | most segments a path may have |
-//! | p̂ ℓ, p_b | density per unit solid angle of light sampling and of BSDF sampling, choices included |
+//! | p̂ ℓ, `p_b` | density per unit solid angle of light sampling and of BSDF sampling, choices included |
 //!
 //! Numbers come from [`crate::math::rng::draw4`] with the path's seed by (vertex, block), so none depends on an earlier branch.
 
@@ -194,7 +194,7 @@ pub fn scattered_radiance<const NEE: bool, F: HitFilter>(
     radiance
 }
 
-/// One light sample at a surface, weighted against BSDF sampling: an estimate of ∫ Le f |cos θ| V w_ℓ dω.
+/// One light sample at a surface, weighted against BSDF sampling: an estimate of `∫ Le f |cos θ| V w_ℓ dω`.
 #[inline]
 fn direct_light<F: HitFilter>(
     world: &World,

@@ -103,7 +103,7 @@ impl SceneFacts {
             Material::Diffuse { .. } => {}
             Material::DiffuseTransmission { .. } => self.transmission = true,
             Material::Conductor { roughness, .. } | Material::CoatedDiffuse { roughness, .. } => {
-                add(roughness)
+                add(roughness);
             }
             Material::Dielectric { roughness, .. } => {
                 add(roughness);

@@ -505,10 +505,10 @@ fn i1_i2_i3_bad_shots_and_bad_scenes_are_typed_errors() {
     });
     add("object that is not there", |s| s.instances[0].object = afterimage::scene::ObjectId(99));
     add("singular transform", |s| {
-        s.instances[0].to_world = Transform::Fixed(Affine3A::from_scale(Vec3::new(1.0, 0.0, 1.0)))
+        s.instances[0].to_world = Transform::Fixed(Affine3A::from_scale(Vec3::new(1.0, 0.0, 1.0)));
     });
     add("NaN transform", |s| {
-        s.instances[0].to_world = Transform::Fixed(Affine3A::from_translation(Vec3::NAN))
+        s.instances[0].to_world = Transform::Fixed(Affine3A::from_translation(Vec3::NAN));
     });
     add("camera without an angle", |s| s.camera = Camera { fov: 0.0, ..s.camera.clone() });
     add("negative light", |s| {

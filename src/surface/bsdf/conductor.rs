@@ -5,7 +5,7 @@ use glam::{Vec2, Vec3};
 use super::ggx::{Ggx, half_vector, reflect};
 use super::{DeltaSample, Evaluation, Lobes, fresnel, mirror_to_front, select};
 
-/// One reflection lobe: f cos θ_i = F(o·h) D(h) G₂/(4 o_z), or a delta of weight F(o_z).
+/// One reflection lobe: `f cos θ_i = F(o·h) D(h) G₂/(4 o_z)`, or a delta of weight `F(o_z)`.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Conductor {
     /// Real part of the index of refraction.

@@ -2,12 +2,12 @@
 //!
 //! | symbol | meaning |
 //! |---|---|
-//! | η | index of refraction at `wi` over that at `wo` for refracted light; the material's index where `wo` is outside (o_z > 0) |
+//! | η | index of refraction at `wi` over that at `wo` for refracted light; the material's index where `wo` is outside (`o_z` > 0) |
 //! | h | microfacet normal on the side of `wo`: o + i, or −(o + η i) turned to that side, normalised |
 //! | F | reflectance of the interface at o·h |
 //!
 //! Refraction (Walter et al. 2007, equations 17 and 21, with radiance scaled by 1/η²):
-//! f |i_z| = (1 − F) D G₂ |i·h| (o·h)/(|o_z| (i·h + o·h/η)²)/η², density D G₁ (o·h)/|o_z| · |i·h|/(i·h + o·h/η)².
+//! `f |i_z| = (1 − F) D G₂ |i·h| (o·h)/(|o_z| (i·h + o·h/η)²)/η²`, density `D G₁ (o·h)/|o_z| · |i·h|/(i·h + o·h/η)²`.
 //! G₂ has the form of correlated heights on both sides of the surface (as in pbrt-v4; Heitz 2014 derives another one for refraction).
 
 use glam::{Vec2, Vec3};

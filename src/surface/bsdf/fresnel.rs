@@ -31,7 +31,7 @@ pub(super) fn refracted_cosine(c: f32, eta: f32) -> Option<f32> {
 
 /// Unpolarised reflectance of a conductor with index η + i k, per channel.
 ///
-/// With a + i b = √((η + i k)² − sin²): r_s = ((a−c)² + b²)/((a+c)² + b²), r_p = r_s ((ac − s²)² + b²c²)/((ac + s²)² + b²c²),
+/// With a + i b = √((η + i k)² − sin²): `r_s` = ((a−c)² + b²)/((a+c)² + b²), `r_p` = `r_s` ((ac − s²)² + b²c²)/((ac + s²)² + b²c²),
 /// s² = 1 − c². Sums of squares instead of the usual differences: a reflectance of 10⁻⁶ keeps its digits.
 #[inline]
 pub(super) fn conductor(c: f32, eta: Vec3, k: Vec3) -> Vec3 {

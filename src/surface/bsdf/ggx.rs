@@ -2,13 +2,13 @@
 //!
 //! | symbol | meaning |
 //! |---|---|
-//! | α_x, α_y | roughness along the tangents |
-//! | h | microfacet normal, unit, h_z > 0 |
+//! | `α_x`, `α_y` | roughness along the tangents |
+//! | h | microfacet normal, unit, `h_z` > 0 |
 //! | D | density of normals, per solid angle of h and projected area |
-//! | ‖w‖_α | √(α_x² w_x² + α_y² w_y² + w_z²): the length of w stretched into the frame where the surface has α = 1 |
+//! | ‖w‖_α | `√(α_x² w_x² + α_y² w_y² + w_z²)`: the length of w stretched into the frame where the surface has α = 1 |
 //! | G₁, G₂ | Smith masking; masking and shadowing with correlated heights (Heitz 2014) |
 //!
-//! In these terms Λ(w) = (‖w‖_α / w_z − 1)/2, so G₁(w) = 2 w_z/(w_z + ‖w‖_α) and G₂(o, i) = 2 o_z i_z/(‖o‖_α i_z + ‖i‖_α o_z): no division by a
+//! In these terms `Λ(w) = (‖w‖_α / w_z − 1)/2`, so `G₁(w) = 2 w_z/(w_z + ‖w‖_α)` and `G₂(o, i) = 2 o_z i_z/(‖o‖_α i_z + ‖i‖_α o_z)`: no division by a
 //! cosine, finite at every angle.
 //!
 //! Papers: Walter et al. 2007; Heitz 2014; Dupuy and Benyoub 2023, *Sampling Visible GGX Normals with Spherical Caps*.
@@ -51,7 +51,7 @@ impl Ggx {
         self.alpha.min_element()
     }
 
-    /// The isotropic α of the same area: √(α_x α_y).
+    /// The isotropic α of the same area: `√(α_x α_y)`.
     #[inline]
     pub(super) fn mean_alpha(&self) -> f32 {
         (self.alpha.x * self.alpha.y).sqrt()
@@ -64,7 +64,7 @@ impl Ggx {
         wi.z * (wo.z + o) / (o * wi.z + i * wo.z)
     }
 
-    /// D(h) for a unit h: 1/(π α_x α_y ((h_x/α_x)² + (h_y/α_y)² + h_z²)²).
+    /// D(h) for a unit h: `1/(π α_x α_y ((h_x/α_x)² + (h_y/α_y)² + h_z²)²)`.
     #[inline]
     pub(super) fn density(&self, h: Vec3) -> f32 {
         let s = Vec2::new(h.x, h.y) / self.alpha;
@@ -79,7 +79,7 @@ impl Ggx {
         (s.length_squared() + w.z * w.z).sqrt()
     }
 
-    /// Density of reflected directions, D(h) G₁(o)/(4 o_z), and D(h) G₂/(4 o_z), the reflected light times the incident cosine for F = 1.
+    /// Density of reflected directions, `D(h) G₁(o)/(4 o_z)`, and `D(h) G₂/(4 o_z)`, the reflected light times the incident cosine for F = 1.
     /// `wo` and `wi` above the horizon, `h` their unit half vector.
     #[inline]
     pub(super) fn reflection(&self, wo: Vec3, wi: Vec3, h: Vec3) -> (f32, f32) {
@@ -88,7 +88,7 @@ impl Ggx {
         (d / (wo.z + o), d * wi.z / (o * wi.z + i * wo.z))
     }
 
-    /// A visible normal of `wo` (o_z > 0), density D(h) G₁(o) (o·h)/o_z (Dupuy and Benyoub 2023, listing 3).
+    /// A visible normal of `wo` (`o_z` > 0), density `D(h) G₁(o) (o·h)/o_z` (Dupuy and Benyoub 2023, listing 3).
     #[inline]
     pub(super) fn sample_visible(&self, wo: Vec3, u: Vec2) -> Vec3 {
         let v = self.stretch(wo);

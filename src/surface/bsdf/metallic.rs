@@ -3,17 +3,17 @@
 //! | symbol | meaning |
 //! |---|---|
 //! | w(c) | (1 − c)⁵ |
-//! | F_d | the dielectric's reflectance f₀ + (f₉₀ − f₀) w, f₀ = min(((n−1)/(n+1))² · tint, 1) · specular, f₉₀ = specular |
-//! | F | metallic (base + (1 − base) w) + (1 − metallic) F_d |
-//! | T | 1 − the largest channel of F_d; T̄ its mean over the hemisphere |
+//! | `F_d` | the dielectric's reflectance f₀ + (f₉₀ − f₀) w, f₀ = min(((n−1)/(n+1))² · tint, 1) · specular, f₉₀ = specular |
+//! | F | metallic (base + (1 − base) w) + (1 − metallic) `F_d` |
+//! | T | 1 − the largest channel of `F_d`; T̄ its mean over the hemisphere |
 //!
 //! | lobe | f |
 //! |---|---|
-//! | 0 specular | F(o·h) D G₂/(4 o_z i_z) |
-//! | 1 diffuse | (1 − metallic)(1 − transmission) base T(o_z) T(i_z)/(π T̄) |
-//! | 2 transmission, thin-walled | (1 − metallic) transmission base T(o·h) D G₂/(4 o_z i_z), i mirrored in z; a delta where smooth |
+//! | 0 specular | `F(o·h) D G₂/(4 o_z i_z)` |
+//! | 1 diffuse | (1 − metallic)(1 − transmission) base `T(o_z) T(i_z)/(π T̄)` |
+//! | 2 transmission, thin-walled | (1 − metallic) transmission base `T(o·h) D G₂/(4 o_z i_z)`, i mirrored in z; a delta where smooth |
 //!
-//! Deviation: the specification's diffuse factor is 1 − F(o·h), with which a grazing view reflects up to 1.9 times what arrives. T(o_z) T(i_z)/T̄
+//! Deviation: the specification's diffuse factor is 1 − F(o·h), with which a grazing view reflects up to 1.9 times what arrives. `T(o_z) T(i_z)/T̄`
 //! (Kelemen and Szirmay-Kalos 2001) is reciprocal, keeps the sum below 1 (the diffuse lobe is scaled by 0.996 for that) and differs by a few percent at steep angles. The back of a
 //! surface that is not double-sided is black.
 
@@ -28,11 +28,11 @@ use crate::math::warp::{invert_cosine_hemisphere, sample_cosine_hemisphere};
 /// ∫ w(μ) 2μ dμ.
 const MEAN_SCHLICK: f32 = 1.0 / 21.0;
 
-/// Factor on the diffuse lobe. A rough interface reflects a little more than F(o_z) at steep angles, as its microfacets lean away: with
-/// the sum at smooth surfaces' 1, a white one reached 1.0032 (n = 1.5, roughness 0.3, o_z = 0.6).
+/// Factor on the diffuse lobe. A rough interface reflects a little more than `F(o_z)` at steep angles, as its microfacets lean away: with
+/// the sum at smooth surfaces' 1, a white one reached 1.0032 (n = 1.5, roughness 0.3, `o_z` = 0.6).
 const DIFFUSE_SHARE: f32 = 0.996;
 
-/// Least w in the estimate of the specular lobe: it reflects at o·h < 1 even where o_z = 1.
+/// Least w in the estimate of the specular lobe: it reflects at o·h < 1 even where `o_z` = 1.
 const LEAST_SCHLICK: f32 = 0.01;
 
 /// Least T in the estimate of the transmission lobe, whose microfacets are never all at grazing angles.
@@ -65,7 +65,7 @@ pub(super) struct Metallic {
     /// F = reflectance + edge · w.
     reflectance: Vec3,
     edge: Vec3,
-    /// T = passed − passed_edge · w.
+    /// `T = passed − passed_edge · w`.
     passed: f32,
     passed_edge: f32,
     /// (1 − metallic)(1 − transmission) base/T̄, times `DIFFUSE_SHARE`.

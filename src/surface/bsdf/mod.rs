@@ -5,14 +5,14 @@
 //!
 //! | symbol | meaning |
 //! |---|---|
-//! | value | f(o, i) |cos θ_i|; for a delta lobe its weight times its probability |
+//! | value | `f(o, i) \|cos θ_i\|`; for a delta lobe its weight times its probability |
 //! | p(i, ℓ) | density of choosing lobe ℓ *and* direction i, per solid angle of i: "joint" |
 //! | p(i) | Σ p(i, ℓ) over the lobes that are not deltas: "marginal" |
 //!
 //! A material's lobes are numbered from 0, at most 6, in an order that never depends on its parameters: paths store lobe numbers. One word
 //! chooses the lobe, two floats its direction; a lobe's direction map is invertible ([`Bsdf::invert`]).
 //!
-//! Both sides: opaque surfaces reflect on the side of `wo`. At o_z = 0 or i_z = 0 everything is zero. Surfaces with α < 10⁻³ are deltas (as in pbrt-v4).
+//! Both sides: opaque surfaces reflect on the side of `wo`. At `o_z` = 0 or `i_z` = 0 everything is zero. Surfaces with α < 10⁻³ are deltas (as in pbrt-v4).
 
 mod coated;
 mod conductor;
@@ -44,7 +44,7 @@ pub struct Bsdf {
 /// What light does at a pair of directions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Evaluation {
-    /// f(o, i) |cos θ_i|, per channel, in sr⁻¹.
+    /// `f(o, i) |cos θ_i|`, per channel, in sr⁻¹.
     pub value: Vec3,
     /// Per solid angle of `wi`.
     pub pdf: f32,
@@ -60,7 +60,7 @@ impl Evaluation {
 pub struct BsdfSample {
     /// Where the light comes from.
     pub wi: Vec3,
-    /// f |cos θ_i| of all lobes that are not deltas; for a delta its share of the light times `pdf`.
+    /// `f |cos θ_i|` of all lobes that are not deltas; for a delta its share of the light times `pdf`.
     pub value: Vec3,
     /// Marginal density per solid angle; for a delta its probability. Positive.
     pub pdf: f32,
@@ -242,11 +242,11 @@ impl Lobes for Mix {
     fn evaluate(&self, wo: Vec3, wi: Vec3, lobes: u32) -> Evaluation {
         let mut sum = Evaluation::ZERO;
         let masks = [lobes, lobes >> self.parts[0].count()];
-        for i in 0..2 {
+        for (i, (part, mask)) in self.parts.iter().zip(masks).enumerate() {
             // The first part must not see the second's bits, nor compute anything for an empty set.
-            let mask = masks[i] & ((1 << self.parts[i].count()) - 1);
+            let mask = mask & ((1 << part.count()) - 1);
             if mask != 0 && self.weights[i] > 0.0 {
-                let part = each_part!(&self.parts[i], l => l.evaluate(wo, wi, mask));
+                let part = each_part!(part, l => l.evaluate(wo, wi, mask));
                 sum.value += self.weights[i] * part.value;
                 sum.pdf += self.probabilities[i] * part.pdf;
             }
@@ -451,7 +451,7 @@ impl Bsdf {
     /// [`unit_float`]).
     ///
     /// Value and density of a sample that is not a delta are totals over all lobes that are not. `None` is a sample of value 0: a
-    /// microfacet reflected below the horizon, o_z = 0, or no lobe has light.
+    /// microfacet reflected below the horizon, `o_z` = 0, or no lobe has light.
     #[inline]
     #[must_use]
     pub fn sample(&self, wo: Vec3, words: [u32; 4]) -> Option<BsdfSample> {

@@ -30,7 +30,7 @@ fn gltf(metallic: f32, roughness: f32, transmission: f32) -> Bsdf {
     })
 }
 
-/// One of each family, at roughness α_x = `alpha`, α_y = `alpha` / `anisotropy`.
+/// One of each family, at roughness `α_x` = `alpha`, `α_y` = `alpha` / `anisotropy`.
 fn families(alpha: f32, anisotropy: f32) -> Vec<(&'static str, Bsdf)> {
     let a = Vec2::new(alpha, alpha / anisotropy);
     let grey = Vec3::new(0.8, 0.5, 0.1);
