@@ -41,10 +41,6 @@ pub(crate) enum ErrorKind {
 
 /// A position inside a file.
 #[derive(Clone, Debug)]
-#[cfg_attr(
-    not(any(feature = "load", test)),
-    expect(dead_code, reason = "only what reads and writes files makes one")
-)]
 enum Place {
     Line { line: u32, column: u32 },
     Json(String),
