@@ -23,7 +23,7 @@ const MOST_LIGHTS: usize = 12;
 /// Look at one pixel: surface, material, lights, and a technique's estimates one by one
 #[derive(Args, Debug)]
 #[command(
-    after_help = "Example:\n  afterimage inspect scenes/cornell.pbrt --technique nee --pixel 128,200 --samples 16"
+    after_help = "Example:\n  afterimage inspect scenes/cornell.pbrt --technique nee --pixel 128,150 --samples 16"
 )]
 pub(super) struct InspectArgs {
     /// A pbrt or glTF file, or a generator such as many-lights:1000
