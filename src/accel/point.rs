@@ -75,8 +75,8 @@ impl Accel {
         let w = 1.0 - u - v;
         let p: [DVec3; 3] = std::array::from_fn(|i| slot.column(i));
         let mut position = p[0] * w + p[1] * u + p[2] * v;
-        // |w| only: u and v are never negative beyond rounding, which the bound's slack covers.
-        let mut magnitude = p[0].abs() * w.abs() + p[1].abs() * u.abs() + p[2].abs() * v.abs();
+        // Σ|b_i p_i| ≤ Σ|p_i|, as no weight exceeds 1 by more than rounding.
+        let mut magnitude = p[0].abs() + p[1].abs() + p[2].abs();
         let mut normal = cold.normal;
         let mut shading = cold.normal;
         if cold.smooth {

@@ -344,6 +344,12 @@ impl Lights {
     ) -> Option<Incident> {
         let record = &self.lights[light as usize];
         match record.surface {
+            // Most lights are triangles: their case is compiled into the caller.
+            Surface::Triangle { corner, edge1, edge2, normal, .. } => {
+                let b = warp::sample_uniform_triangle(u);
+                let position = corner + edge1 * b.y + edge2 * b.z;
+                self.incident(scene, record, from, position, normal, mix_uvs(record.uvs, b))
+            }
             Surface::Sphere { center, radius, .. } if outside_sphere(from, center, radius) => {
                 let point = sample_sphere_cone(from, center, radius, u)?;
                 let normal = (point - center) / radius;
