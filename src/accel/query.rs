@@ -203,7 +203,9 @@ impl<'q, 'a, F: HitFilter, const ANY: bool> Primitives<'q, 'a, F, ANY> {
     fn triangle<K: Kernel>(&mut self, kernel: K, number: u32) -> bool {
         let slot = &self.bottom.slots[number as usize];
         let Some(edges) = kernel.edges(slot, &self.triangle) else { return false };
-        let Some((t, u, v)) = self.triangle.distance(&edges, self.query.limit) else { return false };
+        let Some((t, u, v)) = self.triangle.distance(&edges, self.query.limit) else {
+            return false;
+        };
         if ANY && self.query.limit < f64::INFINITY {
             let p0 = slot.column(0);
             let normal = (slot.column(1) - p0).cross(slot.column(2) - p0);

@@ -154,7 +154,8 @@ impl TriangleRay {
         let t = sum * (self.shear[2] * inverse);
         // t > δ, multiplied by |det d_k|: the bound needs no division.
         const BOUND: f64 = 1.0 / (1_u64 << 47) as f64;
-        if t > 0.0 && t <= limit && sum.abs() > BOUND * total(z) * (total(x) * total(y) + det.abs()) {
+        if t > 0.0 && t <= limit && sum.abs() > BOUND * total(z) * (total(x) * total(y) + det.abs())
+        {
             Some((t, e[1] * inverse, e[2] * inverse))
         } else {
             None
