@@ -194,7 +194,10 @@ fn vector_and_plain_triangle_tests_agree_bit_for_bit() {
             }
             let r = TriangleRay::new(random.cube().as_dvec3(), d.as_dvec3());
             let (a, b) = (edges_portable(&slot, &r), edges_avx2(simd, &slot, &r));
-            let (a, b) = (a.and_then(|e| r.distance(&e, f64::INFINITY)), b.and_then(|e| r.distance(&e, f64::INFINITY)));
+            let (a, b) = (
+                a.and_then(|e| r.distance(&e, f64::INFINITY)),
+                b.and_then(|e| r.distance(&e, f64::INFINITY)),
+            );
             assert_eq!(a, b);
             accepted += usize::from(a.is_some());
         }

@@ -49,10 +49,11 @@ impl Stage {
     /// As [`Stage::new`].
     pub fn with_options(scene: Scene, options: &BuildOptions) -> Result<Self> {
         scene.validate()?;
-        let facts = SceneFacts::new(&scene);
         // What moves must have a tree of its own, which later frames share.
-        let two_level = options.two_level.or(facts.moving_geometry.then_some(true));
+        let moving = scene.instances.iter().any(|instance| instance.to_world.moves());
+        let two_level = options.two_level.or(moving.then_some(true));
         let first = World::new(scene.at(scene.time[0]), &BuildOptions { two_level, ..*options })?;
+        let facts = SceneFacts::new(&scene, first.lights.counts());
         Ok(Self { scene: Arc::new(scene), facts, first: Arc::new(first) })
     }
 

@@ -3,7 +3,7 @@
 
 use std::fmt;
 
-use crate::light::{LightCounts, Lights};
+use crate::light::LightCounts;
 use crate::math::luminance;
 use crate::scene::{Color, LightKind, Material, Scalar, Scene};
 
@@ -37,13 +37,11 @@ pub struct SceneFacts {
 }
 
 impl SceneFacts {
-    /// Reads the facts off a scene, which may move.
+    /// Reads the facts off a scene, which may move, and its light table's counts.
     #[must_use]
-    pub fn new(scene: &Scene) -> Self {
-        let still = scene.at(scene.time[0]);
-        let lights = Lights::build(&still, crate::world::bounds(&still));
+    pub fn new(scene: &Scene, lights: LightCounts) -> Self {
         let mut facts = Self {
-            lights: lights.counts(),
+            lights,
             grey_lights: true,
             textured_emission: false,
             delta_lobes: false,
