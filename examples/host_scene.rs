@@ -55,7 +55,7 @@ fn lamp_at(angle: f32) -> Transform {
 
 fn main() -> Result<()> {
     let mut scene = scene();
-    let stage = Stage::new(scene.clone())?;
+    let stage = Stage::moving(scene.clone())?;
     let shot =
         Shot { size: [160, 90], depth: 3, filter: Filter::Point, run: 1, effort: 4, fps: 30 };
     let mut frames = FrameLoop::new(Arc::from(techniques::parse("nee")?), &stage, shot)?;

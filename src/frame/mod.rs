@@ -43,6 +43,20 @@ impl Stage {
         Self::with_options(scene, &BuildOptions::default())
     }
 
+    /// Prepares a scene that the host will move from frame to frame ([`FrameLoop::render_scene`]): everything counts as moving.
+    ///
+    /// # Errors
+    /// As [`Stage::new`].
+    pub fn moving(scene: Scene) -> Result<Self> {
+        let mut stage = Self::with_options(
+            scene,
+            &BuildOptions { two_level: Some(true), ..BuildOptions::default() },
+        )?;
+        let facts = &mut stage.facts;
+        (facts.moving_camera, facts.moving_lights, facts.moving_geometry) = (true, true, true);
+        Ok(stage)
+    }
+
     /// As [`Stage::new`], with a choice of acceleration structure.
     ///
     /// # Errors
@@ -193,12 +207,18 @@ impl FrameLoop {
         self.step(moved, updated)
     }
 
-    /// Renders the next frame of a scene that the host moves: `scene` is as it stands now, with fixed transforms. The loop was
-    /// planned for the stage's facts; a scene that needs more needs a new loop.
+    /// Renders the next frame of a scene that the host moves: `scene` is as it stands now, with fixed transforms. Lights of other kinds than
+    /// the stage's scene had need a stage of their own.
     ///
     /// # Errors
-    /// Whatever [`Scene::validate`] refuses.
+    /// A stage that is not [`Stage::moving`], whose plan may have left out what motion needs; whatever [`Scene::validate`] refuses.
     pub fn render_scene(&mut self, scene: Scene) -> Result<Frame<'_>> {
+        let facts = &self.stage.facts;
+        if !(facts.moving_camera && facts.moving_lights && facts.moving_geometry) {
+            return Err(Error::usage(
+                "the stage was planned for a scene that moves by itself or not at all; make it with Stage::moving",
+            ));
+        }
         let begin = Instant::now();
         scene.validate()?;
         let moved = Arc::new(self.world.next(scene)?);

@@ -521,3 +521,31 @@ fn i1_i2_i3_bad_shots_and_bad_scenes_are_typed_errors() {
         assert!(error.is_invalid(), "{name}: {error}");
     }
 }
+
+/// A host that moves the scene: only a stage made for it may be moved, and each frame shows the scene as it stands.
+#[test]
+fn a_host_moves_its_scene() {
+    let lit = |x: f32| {
+        let mut scene = floor(lambert(0.5));
+        lamp(&mut scene, Vec3::new(x, 1.0, 0.0), 0.5, 10.0);
+        scene
+    };
+    let technique = || Arc::from(parse("nee").unwrap());
+    let still = Stage::new(lit(0.0)).unwrap();
+    let mut frames = FrameLoop::new(technique(), &still, shot([16, 16], 3, 1)).unwrap();
+    assert!(frames.render_scene(lit(0.5)).unwrap_err().is_usage());
+
+    let stage = Stage::moving(lit(0.0)).unwrap();
+    let mut frames = FrameLoop::new(technique(), &stage, shot([16, 16], 3, 4)).unwrap();
+    frames.render_scene(lit(0.0)).unwrap();
+    let moved = frames.render_scene(lit(1.5)).unwrap().picture();
+    let mut alone =
+        FrameLoop::new(technique(), &Stage::moving(lit(1.5)).unwrap(), shot([16, 16], 3, 4))
+            .unwrap();
+    alone.render_scene(lit(1.5)).unwrap();
+    let direct = alone.render_scene(lit(1.5)).unwrap().picture();
+    assert_eq!(
+        moved.pixels, direct.pixels,
+        "frame 1 of the moved scene is frame 1 of the scene as it stands"
+    );
+}
