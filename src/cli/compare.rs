@@ -29,7 +29,7 @@ use crate::path::Counters;
 use crate::picture::Picture;
 use crate::report::{
     Budget, BudgetKind, Claim, Curve, CurvePoint, Figure, FrameTime, PassTime, Results, Row,
-    SCHEMA, markdown,
+    SCHEMA, summary,
 };
 use crate::stats::{Criteria, Moments, Restarts};
 use crate::techniques::{REGISTRY, Technique};
@@ -229,8 +229,11 @@ pub(super) fn run(args: &CompareArgs) -> Result<Status> {
     let folder =
         args.out.clone().unwrap_or_else(|| PathBuf::from("out").join(file_name(&engine.name)));
     write::all(&folder, &results, &contenders, &truth)?;
-    print(&markdown(&results))?;
-    note(&format!("wrote {}", folder.display()));
+    print(&summary(&results))?;
+    note(&format!(
+        "wrote {0}; all metrics: {0}/table.md, their meaning: docs/metrics.md",
+        folder.display()
+    ));
     for contender in &contenders {
         if contender.work.non_finite > 0 {
             note(&format!(

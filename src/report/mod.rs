@@ -27,4 +27,4 @@ pub use results::{
     Bias, Budget, BudgetKind, Claim, Curve, CurvePoint, Figure, FrameTime, METRICS, PassTime,
     ReferenceInfo, Results, Row, SCHEMA,
 };
-pub use table::{csv, curve_csv, figure, markdown};
+pub use table::{csv, curve_csv, figure, markdown, summary};

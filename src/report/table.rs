@@ -8,8 +8,19 @@ use super::{Figure, METRICS, Results, Row};
 /// interval meets no other row's.
 #[must_use]
 pub fn markdown(results: &Results) -> String {
-    let metrics: Vec<&str> = METRICS
-        .into_iter()
+    table(results, &METRICS)
+}
+
+/// As [`markdown`], with the few columns that fit a terminal.
+#[must_use]
+pub fn summary(results: &Results) -> String {
+    table(results, &["relmse", "flip", "ttuv"])
+}
+
+fn table(results: &Results, metrics: &[&'static str]) -> String {
+    let metrics: Vec<&str> = metrics
+        .iter()
+        .copied()
         .filter(|m| results.rows.iter().any(|r| r.metrics.contains_key(*m)))
         .collect();
     let mut header: Vec<String> =
@@ -47,7 +58,7 @@ fn heading(results: &Results) -> String {
     let (frames, restarts) = results.rows.first().map_or((0, 0), |r| (r.frames, r.restarts));
     let reference = &results.reference;
     let mut text = format!(
-        "{} at {width}x{height}, depth {}, {} filter; frame {frames} of {restarts} restarts, seed {}\n",
+        "{} at {width}x{height}, depth {}, {} filter; frame {frames} after a cold start, {restarts} restarts, seed {}\n",
         results.scene, results.depth, results.filter, results.seed
     );
     let _ = write!(text, "reference: {}", reference.source);
@@ -109,7 +120,7 @@ fn notes(results: &Results) -> Vec<String> {
     for row in &results.rows {
         if row.budget.over_budget {
             notes.push(format!(
-                "`{}` cannot meet the budget of {} ms within 5 %: its frames take {} ms.",
+                "`{}` is off the budget of {} ms by more than 5 %: its frames took {} ms (no effort fits, or the machine's speed changed).",
                 row.technique,
                 figure(row.budget.value),
                 figure(row.ms_per_frame.median)

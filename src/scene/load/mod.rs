@@ -36,6 +36,10 @@ const MAX_UNPACKED_BYTES: u64 = 1 << 31;
 /// # Errors
 /// The file cannot be read, is not what its extension says, or uses something outside `docs/scenes.md`.
 pub fn load(path: &Path) -> Result<Loaded> {
+    if path.is_dir() {
+        let message = "a folder, but a scene is a file in it: .pbrt, .gltf, .glb";
+        return Err(Error::unsupported(message).with_path(path));
+    }
     match extension(path).as_str() {
         "pbrt" => pbrt::load(path),
         "gltf" | "glb" => gltf::load(path),
