@@ -353,7 +353,7 @@ impl Lights {
             Surface::Sphere { center, radius, .. } if outside_sphere(from, center, radius) => {
                 let point = sample_sphere_cone(from, center, radius, u)?;
                 let normal = (point - center) / radius;
-                self.incident(scene, record, from, point, normal, uv_on_sphere(normal))
+                self.incident(scene, record, from, point, normal, record.uv_on_sphere(normal))
             }
             _ => self.incident_from(scene, LightPoint { light, uv: u }, from),
         }
@@ -389,7 +389,7 @@ impl Lights {
                     from,
                     center + normal * radius,
                     normal,
-                    uv_on_sphere(normal),
+                    record.uv_on_sphere(normal),
                 )
             }
             Surface::Disk { center, frame, radius } => {
@@ -581,6 +581,17 @@ fn sample_sphere_cone(from: Vec3, center: Vec3, radius: f32, u: Vec2) -> Option<
     let normal =
         frame.to_world(Vec3::new(azimuth.x * sin_alpha, azimuth.y * sin_alpha, -cos_alpha));
     normal.is_finite().then(|| center + normal * radius)
+}
+
+impl Light {
+    /// Texture coordinates of a point of a sphere light; anything where its emission is the same everywhere.
+    #[inline]
+    fn uv_on_sphere(&self, normal: Vec3) -> Vec2 {
+        match self.radiance {
+            Color::Constant(_) => Vec2::ZERO,
+            Color::Texture(_) => uv_on_sphere(normal),
+        }
+    }
 }
 
 /// Texture coordinates of a point on a sphere: azimuth from +x and polar angle from −z, as the accelerator reports them.
