@@ -154,7 +154,7 @@ fn veach_mis() {
 #[test]
 #[ignore = "slow: 100 s"]
 fn veach_ajar() {
-    check(&Case { scene: "veach-ajar", delta: 0.005, restarts: 16, spp: 24 });
+    check(&Case { scene: "veach-ajar", delta: 0.005, restarts: 16, spp: 80 });
 }
 
 #[test]
