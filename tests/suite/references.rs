@@ -7,9 +7,10 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use afterimage::accel::Ray;
 use afterimage::frame::{FrameLoop, Stage};
 use afterimage::plan::{Filter, Shot};
-use afterimage::scene::{TextureKind, load};
+use afterimage::scene::{Material, Scalar, TextureKind, load};
 use afterimage::stats::{Criteria, PictureTest, Reference, Restarts, Verdict};
 use afterimage::techniques::parse;
 use glam::{Affine2, Vec2, Vec3};
@@ -51,6 +52,30 @@ fn mask(emission: &[Vec3], width: usize, height: usize) -> Vec<bool> {
         .collect()
 }
 
+/// Marks pixels that see metal with α ≥ 0.2. The reference's masking is separable, G₁(o) G₁(i), ours height-correlated, as in pbrt and the
+/// specification: 1 % brighter on such a plate. (With separable masking here no tile differs; see `docs/results.md`.)
+fn exclude_rough_metal(stage: &Stage, size: [u32; 2], marked: &mut [Vec3]) {
+    let world = stage.first_world();
+    let rays = world.scene.camera.rays(size);
+    for (i, mark) in marked.iter_mut().enumerate() {
+        let at = Vec2::new((i as u32 % size[0]) as f32 + 0.5, (i as u32 / size[0]) as f32 + 0.5);
+        let ray = rays.ray(at);
+        let hit = world.closest_hit(&Ray {
+            origin: ray.origin,
+            direction: ray.direction,
+            t_max: f32::INFINITY,
+        });
+        let Some(hit) = hit else { continue };
+        let (shape, _) = world.accel.shape_of(&hit);
+        if let Material::Conductor { roughness, .. } =
+            world.scene.materials[world.shapes[shape as usize].material.index()]
+            && matches!(roughness.u, Scalar::Constant(alpha) if alpha >= 0.2)
+        {
+            *mark = Vec3::ONE;
+        }
+    }
+}
+
 struct Case {
     scene: &'static str,
     delta: f64,
@@ -88,7 +113,11 @@ fn run(case: &Case) -> Option<(PictureTest, PictureTest)> {
         }
         pictures.push(frame.picture().pixels);
     }
-    let mask = mask(&seen, width, height);
+    let mut excluded = seen;
+    if scene == "veach-mis" {
+        exclude_rough_metal(&stage, [width as u32, height as u32], &mut excluded);
+    }
+    let mask = mask(&excluded, width, height);
     let criteria = Criteria {
         delta,
         equivalence_alpha: 0.01,
@@ -145,22 +174,24 @@ fn cornell_box() {
     check(&Case { scene: "cornell-box", delta: 0.005, restarts: 16, spp: 8 });
 }
 
+// The names of tests that the continuous run skips begin with `long_`.
+
 #[test]
-#[ignore = "slow: 100 s"]
-fn veach_mis() {
-    check(&Case { scene: "veach-mis", delta: 0.005, restarts: 16, spp: 64 });
+#[ignore = "long: 4 minutes"]
+fn long_veach_mis() {
+    check(&Case { scene: "veach-mis", delta: 0.005, restarts: 16, spp: 256 });
 }
 
 #[test]
-#[ignore = "slow: 100 s"]
-fn veach_ajar() {
+#[ignore = "long: 3 minutes"]
+fn long_veach_ajar() {
     check(&Case { scene: "veach-ajar", delta: 0.005, restarts: 16, spp: 80 });
 }
 
 #[test]
-#[ignore = "slow: 100 s"]
-fn veach_bidir() {
-    check(&Case { scene: "veach-bidir", delta: 0.01, restarts: 16, spp: 64 });
+#[ignore = "long: 5 minutes"]
+fn long_veach_bidir() {
+    check(&Case { scene: "veach-bidir", delta: 0.01, restarts: 16, spp: 192 });
 }
 
 /// The coated-diffuse deviation, as a number. The reference's `roughplastic` loses energy in its rough interface (at ρ = 0.8, α = 0.2 it
