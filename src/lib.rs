@@ -12,6 +12,7 @@
 //! | [`light`] | emitters in one table: choice, points on them, densities |
 //! | [`world`] | a scene at one time, ready for rays |
 //! | [`path`] | the walk from the camera, multiple importance sampling, counters |
+//! | [`resampling`] | the core of reuse, for any renderer: reservoirs, shift maps, MIS weights, merges, mutations, estimators |
 //! | [`plan`] | what a scene contains, and what a technique will therefore run and leave out |
 //! | [`techniques`] | the methods under comparison and their registry |
 //! | [`frame`] | the loop: time, buffers, history, passes; guides (albedo, normal, depth, motion) |
@@ -76,6 +77,7 @@ pub mod picture;
 pub mod plan;
 #[cfg(feature = "cli")]
 pub mod report;
+pub mod resampling;
 pub mod scene;
 pub mod stats;
 pub mod surface;

@@ -5,6 +5,7 @@ use std::fmt;
 
 use crate::light::LightCounts;
 use crate::math::luminance;
+pub use crate::resampling::Claim;
 use crate::scene::{Color, LightKind, Material, Scalar, Scene};
 
 /// What a scene contains, as far as it decides what can be left out.
@@ -360,26 +361,5 @@ impl fmt::Display for Plan {
             writeln!(f, "  nothing")?;
         }
         Ok(())
-    }
-}
-
-/// What a result promises about its mean.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Claim {
-    /// The expectation is the light transport up to the depth limit, in every frame.
-    Unbiased,
-    /// The expectation tends to it as frames or samples grow.
-    Consistent,
-    /// It does not; here is why.
-    Biased(String),
-}
-
-impl fmt::Display for Claim {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Unbiased => f.write_str("unbiased"),
-            Self::Consistent => f.write_str("consistent"),
-            Self::Biased(why) => write!(f, "biased: {why}"),
-        }
     }
 }

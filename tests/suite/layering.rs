@@ -17,13 +17,18 @@ const TABLE: &[(&str, &[&str])] = &[
     ("light", &["surface", "accel", "scene", "math"]),
     ("world", &["light", "surface", "accel", "scene", "math"]),
     ("path", &["world", "light", "surface", "accel", "scene", "math"]),
-    ("plan", &["world", "light", "scene", "math"]),
-    ("techniques", &["plan", "path", "world", "light", "surface", "accel", "scene", "math"]),
+    ("resampling", &["math"]),
+    ("plan", &["resampling", "world", "light", "scene", "math"]),
+    (
+        "techniques",
+        &["plan", "resampling", "path", "world", "light", "surface", "accel", "scene", "math"],
+    ),
     (
         "frame",
         &[
             "techniques",
             "plan",
+            "resampling",
             "path",
             "world",
             "light",

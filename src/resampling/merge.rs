@@ -1,0 +1,252 @@
+//! Merging finished reservoirs of several domains into one: spatial and temporal reuse, for any shift map and any MIS family.
+
+use super::mis::{Family, Pairwise};
+use super::{Finished, Integrand, Measure, Reservoir, ShiftMap, Shifted};
+use crate::math::rng::RandomSource;
+
+/// A finished reservoir and the domain that it belongs to.
+#[derive(Clone, Copy, Debug)]
+pub struct Input<'a, S, D, M> {
+    /// Its sample, weight and confidence.
+    pub finished: Finished<S, M>,
+    /// p̂ᵢ(yᵢ): its own domain's target at its own sample; 0 without one.
+    pub target: f32,
+    /// Its domain.
+    pub domain: &'a D,
+}
+
+/// An input's part in a merge, as it is streamed.
+#[derive(Clone, Copy, Debug)]
+pub struct Term<S, I> {
+    /// 0 for the canonical input, else 1 + the place among the others.
+    pub input: usize,
+    /// mᵢ; cᵢ / C for families whose weights are known only after the selection.
+    pub mis: f32,
+    /// mᵢ Wᵢ |∂T|: times the integrand, the input's contribution.
+    pub contribution: f32,
+    /// wᵢ > 0.
+    pub weight: f32,
+    /// The sample in the canonical domain; `None` for the canonical input, which the caller knows.
+    pub shifted: Option<Shifted<S, I>>,
+}
+
+/// The result of a merge.
+#[derive(Clone, Copy, Debug)]
+pub struct Merged<S, I, M> {
+    /// The chosen sample with its new weight, and the sum of all confidences.
+    pub finished: Finished<S, M>,
+    /// p̂ of the chosen sample in the canonical domain; 0 without one.
+    pub target: f32,
+    /// Where it came from: 0 for the canonical input, else 1 + the place among the others.
+    pub source: usize,
+    /// The chosen sample's integrand; `None` if it came from the canonical input or there is none.
+    pub integrand: Option<I>,
+}
+
+/// Merges `others` into `canonical`: wᵢ = mᵢ p̂(T yᵢ) Wᵢ |∂T|, Y ∝ w, W = Σw / p̂(Y) (Lin et al. 2022, eq. 19, 22).
+///
+/// Others must have been accepted by their domains alone, never by their samples; one whose shift fails stays in the MIS weights.
+/// `carry` is asked for each input that is streamed with a positive weight, others first, what it brings to `reservoir`, which must be empty.
+///
+/// Shifts from and to the others are only made where a weight needs them: none to an input while the canonical has no sample, none at all
+/// for constant weights.
+pub fn spatial<T, R, M>(
+    map: &mut T,
+    family: Family,
+    canonical: &Input<'_, T::Sample, T::Domain, M>,
+    others: &[Input<'_, T::Sample, T::Domain, M>],
+    reservoir: &mut R,
+    random: &mut impl RandomSource,
+    mut carry: impl FnMut(&Term<T::Sample, T::Integrand>) -> R::Carried,
+) -> Merged<T::Sample, T::Integrand, M>
+where
+    T: ShiftMap,
+    R: Reservoir<Sample = T::Sample>,
+    M: Measure,
+{
+    let own = canonical.finished;
+    let other_confidence: f32 = others.iter().map(|o| o.finished.confidence).sum();
+    let total = own.confidence + other_confidence;
+    debug_assert!(own.confidence > 0.0, "the canonical input has confidence {}", own.confidence);
+    let pairwise = Pairwise {
+        canonical: own.confidence,
+        others: other_confidence,
+        defensive: family == Family::DefensivePairwise,
+    };
+    // The canonical's MIS weight, as far as it is known before its own turn.
+    let mut canonical_mis = match family {
+        _ if other_confidence <= 0.0 => 1.0,
+        Family::Constant | Family::InverseCount | Family::Contribution => own.confidence / total,
+        Family::Balance => 1.0,
+        Family::Pairwise | Family::DefensivePairwise => pairwise.canonical_alone(),
+    };
+    let mut any_other = false;
+    // Which input, and its shifted sample unless it is the canonical one.
+    let mut source = 0;
+    let mut shifted: Option<Shifted<T::Sample, T::Integrand>> = None;
+    let mut any_selected = false;
+
+    for (at, other) in others.iter().enumerate() {
+        let Finished { sample, weight, confidence } = other.finished;
+        if confidence <= 0.0 {
+            continue;
+        }
+        if let Family::Pairwise | Family::DefensivePairwise = family
+            && let Some(own_sample) = &own.sample
+        {
+            let from = target_from(map, own_sample, canonical.domain, other.domain);
+            any_other |= from > 0.0;
+            canonical_mis += pairwise.canonical_part(confidence, from, canonical.target);
+        }
+        let Some(sample) = &sample else { continue };
+        let Some(candidate) = map.shift(sample, other.domain, canonical.domain) else { continue };
+        let target = candidate.integrand.target();
+        if target <= 0.0 {
+            continue;
+        }
+        let from = other.target / candidate.jacobian;
+        let mis = match family {
+            Family::Constant | Family::InverseCount | Family::Contribution => confidence / total,
+            Family::Pairwise | Family::DefensivePairwise => {
+                pairwise.other(confidence, from, target)
+            }
+            Family::Balance => {
+                let mut rivals = 0.0;
+                for (rival_at, rival) in others.iter().enumerate() {
+                    if rival_at != at && rival.finished.confidence > 0.0 {
+                        let seen =
+                            target_from(map, &candidate.sample, canonical.domain, rival.domain);
+                        rivals += rival.finished.confidence / confidence * (seen / from);
+                    }
+                }
+                rivals += own.confidence / confidence * (target / from);
+                if from > 0.0 { 1.0 / (1.0 + rivals) } else { 0.0 }
+            }
+        };
+        let contribution = mis * weight.get() * candidate.jacobian;
+        let weight = contribution * target;
+        if weight > 0.0 {
+            any_other = true;
+            let term = Term { input: at + 1, mis, contribution, weight, shifted: Some(candidate) };
+            if reservoir.stream(candidate.sample, weight, carry(&term), random) {
+                (any_selected, source, shifted) = (true, at + 1, Some(candidate));
+            }
+        }
+    }
+
+    if let Some(sample) = own.sample {
+        if family == Family::Balance && other_confidence > 0.0 {
+            let mut rivals = 0.0;
+            for rival in others.iter().filter(|o| o.finished.confidence > 0.0) {
+                let seen = target_from(map, &sample, canonical.domain, rival.domain);
+                any_other |= seen > 0.0;
+                rivals += rival.finished.confidence / own.confidence * (seen / canonical.target);
+            }
+            canonical_mis = 1.0 / (1.0 + rivals);
+        }
+        if !any_other
+            && !matches!(family, Family::Constant | Family::InverseCount | Family::Contribution)
+        {
+            // Nothing was merged: the shares sum to 1 but for rounding, and the canonical must come out as it went in.
+            canonical_mis = 1.0;
+        }
+        let contribution = canonical_mis * own.weight.get();
+        let weight = contribution * canonical.target;
+        if weight > 0.0 {
+            let term = Term { input: 0, mis: canonical_mis, contribution, weight, shifted: None };
+            if reservoir.stream(sample, weight, carry(&term), random) {
+                (any_selected, source, shifted) = (true, 0, None);
+            }
+            if !any_other && canonical_mis == 1.0 {
+                return Merged {
+                    finished: Finished { confidence: total, ..own },
+                    target: canonical.target,
+                    source: 0,
+                    integrand: None,
+                };
+            }
+        }
+    }
+
+    if !any_selected {
+        return Merged {
+            finished: Finished::empty(total),
+            target: 0.0,
+            source: 0,
+            integrand: None,
+        };
+    }
+    let target = shifted.map_or(canonical.target, |s| s.integrand.target());
+    let scale = match family {
+        Family::InverseCount | Family::Contribution if other_confidence > 0.0 => {
+            let sample = shifted.map_or(own.sample, |s| Some(s.sample));
+            let mut reach = 0.0;
+            let mut sum = 0.0;
+            let mut of_source = target;
+            let mut count = |confidence: f32, from: f32| {
+                if from > 0.0 {
+                    reach += confidence;
+                    sum += confidence * (from / target);
+                }
+            };
+            count(own.confidence, target);
+            for (at, other) in others.iter().enumerate() {
+                let from = match (&shifted, &sample) {
+                    (Some(shifted), _) if source == at + 1 => {
+                        of_source = other.target / shifted.jacobian;
+                        of_source
+                    }
+                    (_, Some(sample)) => target_from(map, sample, canonical.domain, other.domain),
+                    (_, None) => 0.0,
+                };
+                count(other.finished.confidence, from);
+            }
+            if family == Family::InverseCount {
+                total / reach
+            } else {
+                total * (of_source / target) / sum
+            }
+        }
+        _ => 1.0,
+    };
+    let finished = reservoir.finish_scaled(scale, target, total);
+    Merged { finished, target, source, integrand: shifted.map(|s| s.integrand) }
+}
+
+/// Merges last frame's reservoir into this frame's, its confidence capped at `cap` times the canonical's.
+///
+/// Without a cap a chain of merges converges to a wrong picture: old samples outweigh all new ones. The cap is in frames; a paper's M.
+pub fn temporal<T, R, M>(
+    map: &mut T,
+    (family, cap): (Family, f32),
+    canonical: &Input<'_, T::Sample, T::Domain, M>,
+    previous: &Input<'_, T::Sample, T::Domain, M>,
+    reservoir: &mut R,
+    random: &mut impl RandomSource,
+    carry: impl FnMut(&Term<T::Sample, T::Integrand>) -> R::Carried,
+) -> Merged<T::Sample, T::Integrand, M>
+where
+    T: ShiftMap,
+    R: Reservoir<Sample = T::Sample>,
+    M: Measure,
+    T::Sample: Copy,
+{
+    let confidence = previous.finished.confidence.min(cap * canonical.finished.confidence);
+    let capped = Input {
+        finished: Finished { confidence, ..previous.finished },
+        target: previous.target,
+        domain: previous.domain,
+    };
+    spatial(map, family, canonical, &[capped], reservoir, random, carry)
+}
+
+/// p̂ of `domain` at T(y) times |∂T|: its target as the canonical domain sees it; 0 where T is undefined.
+#[inline]
+fn target_from<T: ShiftMap>(
+    map: &mut T,
+    sample: &T::Sample,
+    canonical: &T::Domain,
+    domain: &T::Domain,
+) -> f32 {
+    map.shift(sample, canonical, domain).map_or(0.0, |s| s.integrand.target() * s.jacobian)
+}

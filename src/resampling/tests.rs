@@ -1,0 +1,1 @@
+//! Laws and exact expectations of the core.
