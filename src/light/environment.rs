@@ -17,6 +17,7 @@ pub struct Environment {
     /// Factor on the image, or the radiance.
     pub radiance: Vec3,
     to_light: Mat3,
+    to_world: Mat3,
     image: Option<Texels>,
 }
 
@@ -135,7 +136,9 @@ impl Environment {
             let distribution = Grid::new(&weights, width, height);
             Texels { image, mapping, distribution }
         });
-        Self { radiance, to_light: to_world.inverse(), image }
+        let to_light = to_world.inverse();
+        // The inverse of what other directions are turned by, not `to_world` itself: samples and densities then agree to the last bit.
+        Self { radiance, to_light, to_world: to_light.inverse(), image }
     }
 
     /// Radiance from unit `direction`.
@@ -188,7 +191,7 @@ impl Environment {
                 from_cell(texels, x, y, inside)
             }
         };
-        (self.to_light.inverse() * local).normalize()
+        (self.to_world * local).normalize()
     }
 
     /// Density of [`Environment::sample`] per unit solid angle.

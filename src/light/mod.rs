@@ -12,6 +12,8 @@
 
 mod alias;
 mod environment;
+mod point;
+mod remap;
 
 use std::f32::consts::PI;
 
@@ -19,6 +21,8 @@ use glam::{Vec2, Vec3};
 
 pub use alias::AliasTable;
 pub use environment::Environment;
+pub use point::{Arrival, EmitterPoint};
+pub use remap::LightRemap;
 
 use crate::accel::triangle_orientation;
 use crate::math::{Frame, gamma, luminance, offset_origin, warp};
@@ -302,6 +306,11 @@ impl Lights {
     #[must_use]
     pub fn key(&self, light: u32) -> [u64; 2] {
         self.lights[light as usize].key
+    }
+
+    /// First light of every emitting shape, in order.
+    pub(crate) fn firsts(&self) -> Vec<u32> {
+        self.first_of_shape.iter().copied().filter(|first| *first != NO_LIGHT).collect()
     }
 
     /// The light that a surface element is, or [`NO_LIGHT`]. `shape` is the running number, `element` the triangle in its mesh.

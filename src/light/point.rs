@@ -1,0 +1,362 @@
+//! Light points as resampling wants them: what a light sends from a point, apart from what a receiver makes of it, in the measure of the light itself.
+//!
+//! | light | measure | `geometry` |
+//! |---|---|---|
+//! | triangle, sphere, disk | area | \|cos θ\| / d² |
+//! | environment | solid angle | 1 |
+//! | point, spot | counting | 1 / d² |
+//! | distant | counting | 1 |
+
+use bytemuck::{Pod, Zeroable};
+use glam::{Vec2, Vec3};
+
+use super::{LightPoint, Lights, Surface, area, constant, extent, mix_uvs, outside_sphere};
+use super::{one_minus_cos_cone, sample_sphere_cone, spot_falloff};
+use crate::accel::{Hit, HitPoint};
+use crate::math::{gamma, offset_origin, warp};
+use crate::scene::Scene;
+
+/// How an [`EmitterPoint`] sends light.
+mod kind {
+    /// From one side of a surface.
+    pub(super) const ONE_SIDED: u32 = 0;
+    /// From both sides of a surface.
+    pub(super) const TWO_SIDED: u32 = 1;
+    /// In all directions from a point.
+    pub(super) const POINT: u32 = 2;
+    /// The same, narrowed by the light's cone.
+    pub(super) const SPOT: u32 = 3;
+    /// From infinity.
+    pub(super) const INFINITE: u32 = 4;
+}
+
+/// A light point in world space without a receiver: 44 bytes, so that a pass can prepare many.
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct EmitterPoint {
+    /// Where it is; for light from infinity the unit direction to it.
+    position: [f32; 3],
+    /// Unit normal of the side that emits; 0 without a surface.
+    normal: [f32; 3],
+    /// Radiance, intensity or irradiance.
+    radiance: [f32; 3],
+    kind: u32,
+    light: u32,
+}
+
+/// What an [`EmitterPoint`] sends to a receiver.
+#[derive(Clone, Copy, Debug)]
+pub struct Arrival {
+    /// Unit direction from the receiver to the light.
+    pub direction: Vec3,
+    /// Radiance times geometry: with the BSDF's value, the integrand over light points.
+    pub radiance: Vec3,
+    /// Density per solid angle over density in the light's measure; 0 for lights that no direction meets.
+    pub geometry: f32,
+}
+
+impl EmitterPoint {
+    /// What arrives at `from`; `None` where nothing does.
+    #[inline]
+    #[must_use]
+    pub fn towards(&self, lights: &Lights, from: Vec3) -> Option<Arrival> {
+        let (position, radiance) = (Vec3::from(self.position), Vec3::from(self.radiance));
+        if self.kind == kind::INFINITE {
+            let geometry = if lights.is_environment(self.light) { 1.0 } else { 0.0 };
+            return Some(Arrival { direction: position, radiance, geometry });
+        }
+        let to_light = position - from;
+        let squared = to_light.length_squared();
+        if squared == 0.0 {
+            return None;
+        }
+        let direction = to_light / squared.sqrt();
+        if self.kind <= kind::TWO_SIDED {
+            let cos = -direction.dot(Vec3::from(self.normal));
+            if cos == 0.0 || (cos < 0.0 && self.kind == kind::ONE_SIDED) {
+                return None;
+            }
+            let geometry = cos.abs() / squared;
+            let radiance = radiance * geometry;
+            return (radiance != Vec3::ZERO && geometry.is_finite()).then_some(Arrival {
+                direction,
+                radiance,
+                geometry,
+            });
+        }
+        let share =
+            if self.kind == kind::SPOT { lights.spot_share(self.light, direction) } else { 1.0 };
+        let radiance = radiance * (share / squared);
+        (radiance != Vec3::ZERO && radiance.is_finite()).then_some(Arrival {
+            direction,
+            radiance,
+            geometry: 0.0,
+        })
+    }
+}
+
+impl Lights {
+    /// The light's side of a light point; `None` where it emits nothing at all.
+    #[inline]
+    #[must_use]
+    pub fn emitter(&self, scene: &Scene, point: LightPoint) -> Option<EmitterPoint> {
+        let record = &self.lights[point.light as usize];
+        let make = |position: Vec3, normal: Vec3, radiance: Vec3, kind: u32| {
+            (radiance != Vec3::ZERO).then(|| EmitterPoint {
+                position: position.to_array(),
+                normal: normal.to_array(),
+                radiance: radiance.to_array(),
+                kind,
+                light: point.light,
+            })
+        };
+        let side = if record.two_sided { kind::TWO_SIDED } else { kind::ONE_SIDED };
+        let emitted = |uv: Vec2| scene.color(record.radiance, uv) * record.scale;
+        match record.surface {
+            Surface::Triangle { corner, edge1, edge2, normal, .. } => {
+                let b = warp::sample_uniform_triangle(point.uv);
+                let position = corner + edge1 * b.y + edge2 * b.z;
+                make(position, normal, emitted(mix_uvs(record.uvs, b)), side)
+            }
+            Surface::Sphere { center, radius, outward } => {
+                let normal = warp::sample_uniform_sphere(point.uv);
+                let radiance = emitted(record.uv_on_sphere(normal));
+                make(center + normal * radius, normal * outward, radiance, side)
+            }
+            Surface::Disk { center, frame, radius } => {
+                let d = warp::sample_disk(point.uv);
+                let position = center + (frame.tangent * d.x + frame.bitangent * d.y) * radius;
+                make(position, frame.normal, emitted(0.5 * (d + 1.0)), side)
+            }
+            Surface::Point { position } => {
+                make(position, Vec3::ZERO, constant(record), kind::POINT)
+            }
+            Surface::Spot { position, .. } => {
+                make(position, Vec3::ZERO, constant(record), kind::SPOT)
+            }
+            Surface::Distant { direction } => {
+                make(direction, Vec3::ZERO, constant(record), kind::INFINITE)
+            }
+            Surface::Environment { index } => {
+                let (_, environment) = &self.environments[index as usize];
+                let direction = environment.sample(point.uv);
+                make(direction, Vec3::ZERO, environment.radiance(direction), kind::INFINITE)
+            }
+        }
+    }
+
+    /// Density of a point that is drawn uniformly on its light (an environment: by its own density), the choice of the light included, in the
+    /// light's measure.
+    #[inline]
+    #[must_use]
+    pub fn uniform_density(&self, point: LightPoint) -> f32 {
+        self.choice_probability(point.light) / self.measure(point)
+    }
+
+    /// What a unit of `uv` is worth in the light's measure: its area; 1 / density for environments; 1 for point, spot and distant lights.
+    #[inline]
+    #[must_use]
+    pub fn measure(&self, point: LightPoint) -> f32 {
+        match self.lights[point.light as usize].surface {
+            Surface::Environment { index } => {
+                let (_, environment) = &self.environments[index as usize];
+                1.0 / environment.pdf(environment.sample(point.uv))
+            }
+            Surface::Point { .. } | Surface::Spot { .. } | Surface::Distant { .. } => 1.0,
+            surface => area(surface),
+        }
+    }
+
+    /// |∂T/∂y| of a light point that keeps its place on a light which was `then` and is `now`: the ratio of areas.
+    #[inline]
+    #[must_use]
+    pub fn scaling(&self, now: u32, before: &Self, then: u32) -> f32 {
+        let (now, then) = (self.lights[now as usize].surface, before.lights[then as usize].surface);
+        match (now, then) {
+            (
+                Surface::Triangle { .. } | Surface::Sphere { .. } | Surface::Disk { .. },
+                Surface::Triangle { .. } | Surface::Sphere { .. } | Surface::Disk { .. },
+            ) => area(now) / area(then),
+            _ => 1.0,
+        }
+    }
+
+    /// Whether a point keeps its meaning between two lights: both are of the same kind.
+    #[inline]
+    #[must_use]
+    pub fn same_kind(&self, light: u32, other: &Self, of_other: u32) -> bool {
+        let (a, b) = (self.lights[light as usize].surface, other.lights[of_other as usize].surface);
+        std::mem::discriminant(&a) == std::mem::discriminant(&b)
+    }
+
+    /// A point of `light` for a receiver at `from`: spheres seen from outside are drawn in the cone they fill, all else uniformly. With its
+    /// density given the light, in the light's measure; its arrival at the receiver is what the density of a cone depends on.
+    #[inline]
+    #[must_use]
+    pub fn point_towards(&self, light: u32, from: Vec3, u: Vec2) -> LightPoint {
+        match self.lights[light as usize].surface {
+            Surface::Sphere { center, radius, .. } if outside_sphere(from, center, radius) => {
+                let at = sample_sphere_cone(from, center, radius, u);
+                let normal = at.map_or(Vec3::Z, |at| (at - center) / radius);
+                LightPoint { light, uv: warp::invert_uniform_sphere(normal) }
+            }
+            Surface::Point { .. } | Surface::Spot { .. } | Surface::Distant { .. } => {
+                LightPoint { light, uv: Vec2::ZERO }
+            }
+            _ => LightPoint { light, uv: u },
+        }
+    }
+
+    /// Density of [`Lights::point_towards`] at a point whose arrival has `geometry`, the choice of the light included, in the light's measure.
+    #[inline]
+    #[must_use]
+    pub fn density_towards(&self, point: LightPoint, from: Vec3, geometry: f32) -> f32 {
+        match self.lights[point.light as usize].surface {
+            Surface::Sphere { center, radius, .. } if outside_sphere(from, center, radius) => {
+                self.choice_probability(point.light)
+                    * warp::uniform_cone_pdf(one_minus_cos_cone(from, center, radius))
+                    * geometry
+            }
+            _ => self.uniform_density(point),
+        }
+    }
+
+    /// Where a shadow ray from `from` to a light point ends: off the light's surface, on the receiver's side; `None`: at infinity.
+    #[inline]
+    #[must_use]
+    pub fn shadow_end(&self, emitter: &EmitterPoint, from: Vec3) -> Option<Vec3> {
+        let at = Vec3::from(emitter.position);
+        match emitter.kind {
+            kind::INFINITE => None,
+            kind::POINT | kind::SPOT => Some(at),
+            _ => {
+                let normal = Vec3::from(emitter.normal);
+                let side = 1.0_f32.copysign((from - at).dot(normal));
+                // Five roundings lie between a light's corners and the point; the shadow ray must end before the surface.
+                let surface = self.lights[emitter.light as usize].surface;
+                let error = gamma(8) * (at.abs() + extent(surface));
+                Some(offset_origin(at, normal * side, error))
+            }
+        }
+    }
+
+    /// The light point at a hit of surface light `light`.
+    #[inline]
+    #[must_use]
+    pub fn point_at(&self, light: u32, hit: &Hit, point: &HitPoint) -> LightPoint {
+        let uv = match self.lights[light as usize].surface {
+            Surface::Sphere { center, radius, .. } => {
+                warp::invert_uniform_sphere(((point.position - center) / radius).normalize())
+            }
+            Surface::Disk { center, frame, radius } => {
+                let d = (point.position - center) / radius;
+                warp::invert_disk(Vec2::new(d.dot(frame.tangent), d.dot(frame.bitangent)))
+            }
+            _ => {
+                // Rounding may leave a weight below 0 by an ulp.
+                let (b1, b2) = (hit.u.max(0.0), hit.v.max(0.0));
+                warp::invert_uniform_triangle(Vec3::new((1.0 - b1 - b2).max(0.0), b1, b2))
+            }
+        };
+        LightPoint { light, uv }
+    }
+
+    #[inline]
+    fn is_environment(&self, light: u32) -> bool {
+        matches!(self.lights[light as usize].surface, Surface::Environment { .. })
+    }
+
+    /// Share of a spot light's intensity for a receiver that sees it in `direction`.
+    fn spot_share(&self, light: u32, direction: Vec3) -> f32 {
+        match self.lights[light as usize].surface {
+            Surface::Spot { axis, cos_inner, cos_outer, falloff, .. } => {
+                spot_falloff((-direction).dot(axis), cos_inner, cos_outer, falloff)
+            }
+            _ => 1.0,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use glam::Affine3A;
+
+    use super::*;
+    use crate::math::rng::{RandomSource, Stream};
+    use crate::scene::{
+        Color, Geometry, Light, LightKind, Material, Mesh, Shape, SpotFalloff, Transform,
+    };
+    use crate::world::bounds;
+
+    fn scene() -> Scene {
+        let mut scene = Scene::new("lights");
+        let black =
+            scene.add_material(Material::Diffuse { reflectance: Color::Constant(Vec3::ZERO) });
+        let triangle = Geometry::Mesh(Arc::new(Mesh {
+            positions: vec![
+                Vec3::new(-1.0, 2.0, 0.0),
+                Vec3::new(1.0, 2.5, 0.0),
+                Vec3::new(0.0, 2.0, 1.0),
+            ],
+            triangles: vec![[0, 1, 2]],
+            ..Mesh::default()
+        }));
+        let sphere = Geometry::Sphere { center: Vec3::new(2.0, 1.0, 0.0), radius: 0.5 };
+        let disk =
+            Geometry::Disk { center: Vec3::new(-2.0, 1.0, 0.0), normal: Vec3::X, radius: 0.4 };
+        for geometry in [triangle, sphere, disk] {
+            scene.add_shape(Shape::new(geometry, black).emitting(Vec3::new(3.0, 2.0, 1.0)));
+        }
+        let place = Affine3A::from_translation(Vec3::new(0.3, 1.5, -0.7));
+        let falloff = SpotFalloff::Smoothstep;
+        for (key, kind) in [
+            LightKind::Point { intensity: Vec3::ONE },
+            LightKind::Spot { intensity: Vec3::ONE, cos_inner: 0.9, cos_outer: -0.5, falloff },
+            LightKind::Distant { irradiance: Vec3::ONE },
+            LightKind::Environment { radiance: Vec3::ONE, image: None },
+        ]
+        .into_iter()
+        .enumerate()
+        {
+            scene.lights.push(Light { to_world: Transform::Fixed(place), kind, key: key as u64 });
+        }
+        scene
+    }
+
+    /// Arrivals are what `sample_towards` reports, in the light's measure: radiance · geometry / density in one is radiance / pdf in the other.
+    #[test]
+    fn arrivals_agree_with_light_sampling_per_solid_angle() {
+        let scene = scene();
+        let lights = Lights::build(&scene, bounds(&scene));
+        let mut random = Stream::from_key(5);
+        let mut met = vec![0; lights.len()];
+        for _ in 0..4000 {
+            let from = 3.0 * Vec3::new(random.uniform(), random.uniform(), random.uniform()) - 1.5;
+            let u = Vec2::new(random.uniform(), random.uniform());
+            for light in 0..lights.len() as u32 {
+                let incident = lights.sample_towards(&scene, light, from, u);
+                let point = lights.point_towards(light, from, u);
+                let arrival = lights.emitter(&scene, point).and_then(|e| e.towards(&lights, from));
+                let (Some(incident), Some(arrival)) = (incident, arrival) else {
+                    continue;
+                };
+                if incident.radiance == Vec3::ZERO || incident.pdf > 1e3 {
+                    continue;
+                }
+                met[light as usize] += 1;
+                let density = lights.density_towards(point, from, arrival.geometry);
+                let a = incident.radiance / (incident.pdf * lights.choice_probability(light));
+                let b = arrival.radiance / density;
+                assert!((a - b).length() <= 2e-3 * a.length(), "light {light}: {a} against {b}");
+                assert!((incident.direction - arrival.direction).length() < 1e-3, "light {light}");
+                if !incident.delta {
+                    let pdf = density / arrival.geometry / lights.choice_probability(light);
+                    assert!((pdf / incident.pdf - 1.0).abs() < 2e-3, "light {light}");
+                }
+            }
+        }
+        assert!(met.iter().all(|&n| n > 100), "{met:?}");
+    }
+}
