@@ -1,13 +1,14 @@
 //! A scene at one time, ready to be asked by rays: acceleration structure, light table, shapes.
 
-use std::sync::Arc;
+use std::cell::RefCell;
+use std::sync::{Arc, OnceLock};
 
 use glam::{Vec3, Vec3A};
 
 use crate::accel::{Accel, AcceptAll, BuildOptions, Hit, HitFilter, HitPoint, Ray};
 use crate::error::Result;
-use crate::light::Lights;
-use crate::scene::{Geometry, Scene};
+use crate::light::{LightPoint, Lights};
+use crate::scene::{Geometry, Object, ObjectId, Scene};
 use crate::surface::{AlphaMask, ShapeInfo, SurfacePoint, placed_shapes};
 
 /// Everything that a path needs to know of the scene in one frame.
@@ -23,6 +24,51 @@ pub struct World {
     pub shapes: Vec<ShapeInfo>,
     /// Whether any shape lets rays through by its coverage.
     pub has_alpha: bool,
+    emitters: OnceLock<Arc<Emitters>>,
+}
+
+/// The surfaces that emit, without all others: what a ray would meet if nothing stood in between.
+#[derive(Clone, Debug)]
+pub struct Emitters {
+    accel: Accel,
+    /// First light of each shape in `accel`.
+    first: Vec<u32>,
+}
+
+impl Emitters {
+    fn new(scene: &Scene, lights: &Lights) -> Result<Self> {
+        let mut only = Scene::new("emitters");
+        for instance in &scene.instances {
+            let object = &scene.objects[instance.object.index()];
+            let shapes: Vec<_> =
+                object.shapes.iter().filter(|shape| shape.emission.is_some()).cloned().collect();
+            if !shapes.is_empty() {
+                only.objects.push(Arc::new(Object { name: String::new(), shapes }));
+                let id = ObjectId(only.objects.len() as u32 - 1);
+                only.add_instance(id, instance.to_world.clone(), instance.key);
+            }
+        }
+        let options = BuildOptions { two_level: Some(false), ..BuildOptions::default() };
+        Ok(Self { accel: Accel::build(&only, &options)?, first: lights.firsts() })
+    }
+
+    /// All points of emitting surfaces along a ray, in no particular order, occluded ones among them.
+    #[inline]
+    pub fn along(&self, ray: &Ray, lights: &Lights, visit: impl FnMut(LightPoint)) {
+        struct All<'a, V>(&'a Emitters, &'a Lights, RefCell<V>);
+        impl<V: FnMut(LightPoint)> HitFilter for All<'_, V> {
+            #[inline]
+            fn accept(&self, _: &Ray, hit: &Hit) -> bool {
+                let Self(Emitters { accel, first }, lights, visit) = self;
+                let point = accel.point(hit);
+                let light = first[point.shape as usize] + point.element;
+                visit.borrow_mut()(lights.point_at(light, hit, &point));
+                false
+            }
+        }
+        let none = self.accel.closest_hit(ray, &All(self, lights, RefCell::new(visit)));
+        debug_assert!(none.is_none());
+    }
 }
 
 /// The one thing that kernels specialise on: whether hits must be asked for their coverage.
@@ -47,11 +93,11 @@ impl World {
     /// # Errors
     /// As [`World::new`].
     pub fn next(&self, scene: Scene) -> Result<Self> {
-        let accel = if same_geometry(&self.scene, &scene) {
-            self.accel.clone()
-        } else {
-            self.accel.rebuild(&scene)?
-        };
+        if same_geometry(&self.scene, &scene) {
+            let next = Self::with_accel(scene, self.accel.clone());
+            return Ok(Self { emitters: self.emitters.clone(), ..next });
+        }
+        let accel = self.accel.rebuild(&scene)?;
         Ok(Self::with_accel(scene, accel))
     }
 
@@ -59,7 +105,27 @@ impl World {
         let shapes = placed_shapes(&scene);
         let lights = Lights::build(&scene, bounds(&scene));
         let has_alpha = shapes.iter().any(|shape| shape.alpha.is_some());
-        Self { scene: Arc::new(scene), accel, lights, shapes, has_alpha }
+        let emitters = OnceLock::new();
+        Self { scene: Arc::new(scene), accel, lights, shapes, has_alpha, emitters }
+    }
+
+    /// Builds what [`World::emitters`] gives; once a world, so that no pass waits for it.
+    ///
+    /// # Errors
+    /// Geometry that no acceleration structure can be built for.
+    pub fn prepare_emitters(&self) -> Result<()> {
+        if self.emitters.get().is_none() {
+            let emitters = Emitters::new(&self.scene, &self.lights)?;
+            let _ = self.emitters.set(Arc::new(emitters));
+        }
+        Ok(())
+    }
+
+    /// The emitting surfaces; `None` before [`World::prepare_emitters`].
+    #[inline]
+    #[must_use]
+    pub fn emitters(&self) -> Option<&Emitters> {
+        self.emitters.get().map(|emitters| &**emitters)
     }
 
     /// The filter of scenes with coverage.

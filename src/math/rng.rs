@@ -88,7 +88,11 @@ pub enum Purpose {
 #[inline]
 #[must_use]
 pub fn stream_key(run: u64, cell: u32, frame: u32, purpose: Purpose, round: u32) -> u64 {
-    let a = pcg4d([run as u32, (run >> 32) as u32, cell, frame]);
+    second_round(pcg4d([run as u32, (run >> 32) as u32, cell, frame]), purpose, round)
+}
+
+#[inline]
+fn second_round(a: [u32; 4], purpose: Purpose, round: u32) -> u64 {
     let b = pcg4d([a[0] ^ purpose as u32, a[1] ^ round, a[2], a[3]]);
     u64::from(b[0]) | u64::from(b[1]) << 32
 }
@@ -98,6 +102,26 @@ pub fn stream_key(run: u64, cell: u32, frame: u32, purpose: Purpose, round: u32)
 #[must_use]
 pub fn path_seed(run: u64, pixel: u32, frame: u32, candidate: u32) -> u64 {
     stream_key(run, pixel, frame, Purpose::PathSeed, candidate)
+}
+
+/// The path seeds of one pixel in one frame: [`path_seed`] with the part that all candidates share computed once.
+#[derive(Clone, Copy, Debug)]
+pub struct PathSeeds([u32; 4]);
+
+impl PathSeeds {
+    /// Of a pixel in a frame.
+    #[inline]
+    #[must_use]
+    pub fn new(run: u64, pixel: u32, frame: u32) -> Self {
+        Self(pcg4d([run as u32, (run >> 32) as u32, pixel, frame]))
+    }
+
+    /// Of candidate number `candidate`.
+    #[inline]
+    #[must_use]
+    pub fn seed(self, candidate: u32) -> u64 {
+        second_round(self.0, Purpose::PathSeed, candidate)
+    }
 }
 
 /// The three draws that the resampling core asks for. An enumerating source forks on each (see `stats`), so expectations can
@@ -203,6 +227,12 @@ mod tests {
         let mut s = Stream::from_key(7);
         assert!((0..10_000).all(|_| !s.choose(0.0, 1.0) && !s.choose(0.0, 0.0)));
         assert!((0..10_000).all(|_| s.choose(2.0, 2.0)));
+    }
+
+    #[test]
+    fn path_seeds_are_those_of_one_candidate_at_a_time() {
+        let seeds = PathSeeds::new(3 << 40 | 7, 12, 5);
+        assert!((0..9).all(|i| seeds.seed(i) == path_seed(3 << 40 | 7, 12, 5, i)));
     }
 
     #[test]

@@ -18,53 +18,67 @@ use crate::math::rng::{BLOCK_LIGHT, BLOCK_ROULETTE, BLOCK_SCATTER, draw4, unit_f
 use crate::surface::SurfacePoint;
 use crate::world::World;
 
-/// Work that was done: exact and the same for any number of threads.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Counters {
-    /// Rays from the camera.
-    pub primary_rays: u64,
-    /// Rays that continue a path.
-    pub bounce_rays: u64,
-    /// Rays that only ask for occlusion.
-    pub shadow_rays: u64,
-    /// Light samples that needed no ray: nothing emitted towards the receiver, or nothing scattered.
-    pub shadow_rays_saved: u64,
-    /// Complete path estimates.
-    pub paths: u64,
-    /// Estimates that were not finite. Always a bug: they are counted and shown as black, never passed on.
-    pub non_finite: u64,
-}
-
-impl Counters {
-    /// Names and values, in a fixed order.
-    #[must_use]
-    pub fn entries(&self) -> [(&'static str, u64); 6] {
-        let Self { primary_rays, bounce_rays, shadow_rays, shadow_rays_saved, paths, non_finite } =
-            *self;
-        [
-            ("primary_rays", primary_rays),
-            ("bounce_rays", bounce_rays),
-            ("shadow_rays", shadow_rays),
-            ("shadow_rays_saved", shadow_rays_saved),
-            ("paths", paths),
-            ("non_finite", non_finite),
-        ]
-    }
-}
-
-impl std::ops::Add for Counters {
-    type Output = Self;
-
-    fn add(self, other: Self) -> Self {
-        Self {
-            primary_rays: self.primary_rays + other.primary_rays,
-            bounce_rays: self.bounce_rays + other.bounce_rays,
-            shadow_rays: self.shadow_rays + other.shadow_rays,
-            shadow_rays_saved: self.shadow_rays_saved + other.shadow_rays_saved,
-            paths: self.paths + other.paths,
-            non_finite: self.non_finite + other.non_finite,
+macro_rules! counters {
+    ($($(#[$doc:meta])* $name:ident,)*) => {
+        /// Work that was done: exact and the same for any number of threads.
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+        pub struct Counters {
+            $($(#[$doc])* pub $name: u64,)*
         }
-    }
+
+        impl Counters {
+            /// Names and values, in a fixed order.
+            #[must_use]
+            pub fn entries(&self) -> Vec<(&'static str, u64)> {
+                vec![$((stringify!($name), self.$name),)*]
+            }
+        }
+
+        impl std::ops::Add for Counters {
+            type Output = Self;
+
+            fn add(self, other: Self) -> Self {
+                Self { $($name: self.$name + other.$name,)* }
+            }
+        }
+    };
+}
+
+counters! {
+    /// Rays from the camera.
+    primary_rays,
+    /// Rays that continue a path.
+    bounce_rays,
+    /// Rays that only ask for occlusion.
+    shadow_rays,
+    /// Rays that look for emitters alone.
+    emitter_rays,
+    /// Light samples that needed no ray: nothing emitted towards the receiver, or nothing scattered.
+    shadow_rays_saved,
+    /// Complete path estimates.
+    paths,
+    /// Light points that a pixel's own reservoir was offered.
+    candidates,
+    /// Light points made ahead, in tiles.
+    tile_entries,
+    /// Integrands evaluated at another pixel or frame.
+    shifts,
+    /// Of these, undefined or zero.
+    shifts_failed,
+    /// Pixels that took last frame's reservoir into account.
+    temporal_merges,
+    /// Neighbours' reservoirs that were taken into account.
+    spatial_merges,
+    /// Neighbours and histories that the surfaces ruled out.
+    reuse_rejected,
+    /// Mutations proposed.
+    mutations,
+    /// Mutations accepted.
+    mutations_accepted,
+    /// Candidates whose weight was not a finite number of at least 0. Always a bug.
+    weights_rejected,
+    /// Estimates that were not finite. Always a bug: they are counted and shown as black, never passed on.
+    non_finite,
 }
 
 /// When a path ends.
@@ -102,11 +116,38 @@ pub fn emitted(world: &World, point: &HitPoint, direction: Vec3) -> Vec3 {
 
 /// Light reflected or transmitted towards the camera at a primary hit: one unbiased estimate of all paths with 2 to `limits.depth` segments.
 ///
-/// `NEE` adds light sampling at every vertex with a non-delta lobe, combined with BSDF sampling by the power heuristic. `direction` is the
-/// primary ray's, of unit length.
+/// `NEE` adds light sampling at every vertex with a non-delta lobe, combined with BSDF sampling by the power heuristic. The primary ray's
+/// direction is of unit length.
 #[inline]
 #[must_use]
 pub fn scattered_radiance<const NEE: bool, F: HitFilter>(
+    world: &World,
+    filter: &F,
+    seed: u64,
+    primary: (Vec3, &Hit),
+    limits: Limits,
+    counters: &mut Counters,
+) -> Vec3 {
+    walk::<NEE, true, F>(world, filter, seed, primary, limits, counters)
+}
+
+/// As [`scattered_radiance`] with light sampling, without the light that comes straight to the primary hit and leaves it by a lobe that is not a
+/// delta: what remains for the path tracer where another technique estimates that part.
+#[inline]
+#[must_use]
+pub fn indirect_radiance<F: HitFilter>(
+    world: &World,
+    filter: &F,
+    seed: u64,
+    primary: (Vec3, &Hit),
+    limits: Limits,
+    counters: &mut Counters,
+) -> Vec3 {
+    walk::<true, false, F>(world, filter, seed, primary, limits, counters)
+}
+
+#[inline]
+fn walk<const NEE: bool, const DIRECT: bool, F: HitFilter>(
     world: &World,
     filter: &F,
     seed: u64,
@@ -127,7 +168,8 @@ pub fn scattered_radiance<const NEE: bool, F: HitFilter>(
             break;
         }
         let outgoing = surface.frame.to_local(-direction);
-        if NEE && surface.bsdf.has_non_delta() && !world.lights.is_empty() {
+        let counted = DIRECT || vertex > 0;
+        if NEE && counted && surface.bsdf.has_non_delta() && !world.lights.is_empty() {
             radiance += throughput
                 * direct_light(
                     world,
@@ -142,6 +184,12 @@ pub fn scattered_radiance<const NEE: bool, F: HitFilter>(
         let Some(sample) = surface.bsdf.sample(outgoing, draw4(seed, vertex, BLOCK_SCATTER)) else {
             break;
         };
+        let last = vertex + 2 == limits.depth;
+        // Whether emission at the end of this segment belongs to the estimate.
+        let counted = counted || sample.delta;
+        if last && !counted {
+            break;
+        }
         throughput *= sample.value / sample.pdf;
         if sample.transmission {
             eta_scale *= sample.eta * sample.eta;
@@ -165,7 +213,7 @@ pub fn scattered_radiance<const NEE: bool, F: HitFilter>(
             if NEE && !sample.delta { power_heuristic(sample.pdf, choice * pdf) } else { 1.0 }
         };
         let Some(next) = world.accel.closest_hit(&ray, filter) else {
-            for (light, environment) in world.lights.environments() {
+            for (light, environment) in world.lights.environments().filter(|_| counted) {
                 let share =
                     weight(world.lights.choice_probability(light), environment.pdf(direction));
                 radiance += throughput * environment.radiance(direction) * share;
@@ -174,13 +222,12 @@ pub fn scattered_radiance<const NEE: bool, F: HitFilter>(
         };
         let (shape, element) = world.accel.shape_of(&next);
         let light = world.lights.of_surface(shape, element);
-        let last = vertex + 2 == limits.depth;
         if last && light == NO_LIGHT {
             break;
         }
         hit = next;
         point = world.accel.point(&next);
-        if light != NO_LIGHT {
+        if light != NO_LIGHT && counted {
             let cos_light = -direction.dot(point.geometric_normal);
             let emission = world.lights.emitted(&world.scene, light, point.uv, cos_light);
             if emission != Vec3::ZERO {
