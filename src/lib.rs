@@ -12,6 +12,7 @@
 //! | [`light`] | emitters in one table: choice, points on them, densities |
 //! | [`world`] | a scene at one time, ready for rays |
 //! | [`path`] | the walk from the camera, multiple importance sampling, counters |
+//! | [`direct`] | direct light as a domain of reuse: light points, their shift, candidates, mutations, visibility policies |
 //! | [`resampling`] | the core of reuse, for any renderer: reservoirs, shift maps, MIS weights, merges, mutations, estimators |
 //! | [`plan`] | what a scene contains, and what a technique will therefore run and leave out |
 //! | [`techniques`] | the methods under comparison and their registry |
@@ -67,6 +68,7 @@
 pub mod accel;
 #[cfg(feature = "cli")]
 pub mod cli;
+pub mod direct;
 pub mod error;
 pub mod frame;
 pub mod light;

@@ -121,7 +121,7 @@ pub(super) fn technique(spec: &str) -> Result<Arc<dyn Technique>> {
 
 /// Whether what was in earlier frames changes later ones.
 pub(super) fn keeps_history(plan: &Plan) -> bool {
-    plan.buffers.iter().any(|buffer| buffer.history)
+    plan.keeps_history()
 }
 
 /// Renders the next frame, unless the user asked to stop.

@@ -7,7 +7,7 @@ use super::args::{FilterArg, PictureArgs};
 use super::engine::{self, Engine};
 use super::{Status, print};
 use crate::Result;
-use crate::plan::{Domain, Elements, Plan, SceneFacts};
+use crate::plan::{Domain, Elements, Plan, Runs, SceneFacts};
 
 /// Show what a technique will run on a scene, what is skipped, and why
 #[derive(Args, Debug)]
@@ -62,7 +62,12 @@ fn to_json(plan: &Plan, facts: &SceneFacts, pixels: usize) -> Value {
                 Domain::Items(n) => json!({ "items": n }),
             };
             let writes: Vec<&str> = pass.writes.iter().map(|id| plan.buffers[id.0].name).collect();
-            json!({ "name": pass.name, "domain": domain, "writes": writes, "once": pass.once })
+            let runs = match pass.runs {
+                Runs::Always => "always",
+                Runs::Once => "once",
+                Runs::WithHistory => "with history",
+            };
+            json!({ "name": pass.name, "domain": domain, "writes": writes, "runs": runs })
         })
         .collect();
     let buffers: Vec<Value> = plan
@@ -78,7 +83,13 @@ fn to_json(plan: &Plan, facts: &SceneFacts, pixels: usize) -> Value {
         .collect();
     let skipped: Vec<Value> =
         plan.skipped.iter().map(|s| json!({ "what": s.what, "because": s.because })).collect();
-    let [primary, bounce, shadow] = plan.rays_per_pixel;
+    let rays: serde_json::Map<String, Value> = Plan::RAY_KINDS
+        .iter()
+        .zip(plan.rays_per_pixel)
+        .map(|(kind, most)| ((*kind).to_string(), most.into()))
+        .collect();
+    let constants: serde_json::Map<String, Value> =
+        plan.constants.iter().map(|(name, value)| ((*name).to_string(), (*value).into())).collect();
     json!({
         "technique": plan.technique,
         "claim": super::compare::claim(&plan.claim),
@@ -86,7 +97,8 @@ fn to_json(plan: &Plan, facts: &SceneFacts, pixels: usize) -> Value {
         "passes": passes,
         "buffers": buffers,
         "skipped": skipped,
-        "rays_per_pixel_at_most": { "primary": primary, "bounce": bounce, "shadow": shadow },
+        "rays_per_pixel_at_most": rays,
+        "constants": constants,
         "bytes_per_pixel": plan.bytes_per_pixel(pixels),
     })
 }

@@ -112,7 +112,9 @@ mod tests {
             passes: Vec::new(),
             buffers: vec![buffer(4), buffer(12)],
             skipped: Vec::new(),
-            rays_per_pixel: [0; 3],
+            rays_per_pixel: [0; 4],
+            constants: Vec::new(),
+            emitters: false,
             claim: Claim::Unbiased,
         }
     }
@@ -142,7 +144,7 @@ mod tests {
                     kernel: Kernel::Technique(0),
                     domain,
                     writes: vec![BufferId(0), BufferId(1)],
-                    once: false,
+                    runs: crate::plan::Runs::Always,
                 };
                 let counters = run_pass(&pass, &plan(elements), size, &mut buffers, |_, band| {
                     let first = band.range.start * band.width;

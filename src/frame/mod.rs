@@ -21,9 +21,9 @@ use crate::accel::{BuildOptions, HitFilter, Ray};
 use crate::error::{Error, Result};
 use crate::path::{Counters, emitted};
 use crate::picture::Picture;
-use crate::plan::{BufferId, Elements, Kernel, Plan, SceneFacts, Shot};
+use crate::plan::{BufferId, Elements, Kernel, Plan, Runs, SceneFacts, Shot};
 use crate::scene::Scene;
-use crate::techniques::{Band, Buffer, FrameInputs, PrimaryHit, Technique};
+use crate::techniques::{Band, Buffer, FrameInputs, Motion, PrimaryHit, Technique};
 use crate::world::{WithFilter, World};
 
 /// A scene ready for any number of runs: its facts and its first frame's world, built once.
@@ -244,6 +244,15 @@ impl FrameLoop {
             passes.push(("scene update", elapsed.as_secs_f64() * 1e3));
         }
         let camera = self.world.scene.camera.rays(self.shot.size);
+        if self.plan.emitters {
+            self.world.prepare_emitters()?;
+        }
+        let motion = match &self.previous {
+            Some(previous) if self.plan.keeps_history() && self.plan.constant("still") == 0 => {
+                Some(Motion::new(previous, &self.world, self.shot.size))
+            }
+            _ => None,
+        };
         for (buffer, plan) in self.buffers.iter_mut().zip(&self.plan.buffers) {
             if plan.history && !first {
                 std::mem::swap(&mut buffer.current, &mut buffer.previous);
@@ -251,16 +260,26 @@ impl FrameLoop {
         }
         let mut counters = Counters::default();
         for pass in &self.plan.passes {
-            if pass.once && !first {
-                continue;
+            match pass.runs {
+                Runs::Once if !first => continue,
+                Runs::WithHistory if first => continue,
+                _ => {}
             }
             let begin = Instant::now();
             let (world, previous, shot) = (&*self.world, self.previous.as_deref(), self.shot);
             let technique = &*self.technique;
             let work =
                 cpu::run_pass(pass, &self.plan, shot.size, &mut self.buffers, |buffers, band| {
-                    let inputs =
-                        FrameInputs { world, previous, shot, camera, frame: index, buffers };
+                    let inputs = FrameInputs {
+                        world,
+                        previous,
+                        shot,
+                        plan: &self.plan,
+                        camera,
+                        motion: motion.as_ref(),
+                        frame: index,
+                        buffers,
+                    };
                     match pass.kernel {
                         Kernel::PrimaryHits => primary_hits(&inputs, band),
                         Kernel::Technique(kernel) => technique.run(kernel, &inputs, band),

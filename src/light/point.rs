@@ -189,6 +189,17 @@ impl Lights {
         std::mem::discriminant(&a) == std::mem::discriminant(&b)
     }
 
+    /// The point of `light` at `uv`; lights without extent have one only.
+    #[inline]
+    #[must_use]
+    pub fn point_with(&self, light: u32, uv: Vec2) -> LightPoint {
+        let place = match self.lights[light as usize].surface {
+            Surface::Point { .. } | Surface::Spot { .. } | Surface::Distant { .. } => Vec2::ZERO,
+            _ => uv,
+        };
+        LightPoint { light, uv: place }
+    }
+
     /// A point of `light` for a receiver at `from`: spheres seen from outside are drawn in the cone they fill, all else uniformly. With its
     /// density given the light, in the light's measure; its arrival at the receiver is what the density of a cone depends on.
     #[inline]
@@ -200,10 +211,7 @@ impl Lights {
                 let normal = at.map_or(Vec3::Z, |at| (at - center) / radius);
                 LightPoint { light, uv: warp::invert_uniform_sphere(normal) }
             }
-            Surface::Point { .. } | Surface::Spot { .. } | Surface::Distant { .. } => {
-                LightPoint { light, uv: Vec2::ZERO }
-            }
-            _ => LightPoint { light, uv: u },
+            _ => self.point_with(light, u),
         }
     }
 

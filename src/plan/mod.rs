@@ -261,8 +261,20 @@ pub struct Pass {
     pub domain: Domain,
     /// Buffers of which it writes its own elements.
     pub writes: Vec<BufferId>,
-    /// Whether it runs in the first frame only, because its result never changes.
-    pub once: bool,
+    /// When it runs.
+    pub runs: Runs,
+}
+
+/// In which frames a pass runs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Runs {
+    /// In all.
+    #[default]
+    Always,
+    /// In the first only, because its result never changes.
+    Once,
+    /// In all but the first, which has no history.
+    WithHistory,
 }
 
 /// Something that a scene does not need.
@@ -285,8 +297,12 @@ pub struct Plan {
     pub buffers: Vec<BufferPlan>,
     /// What is left out, and why.
     pub skipped: Vec<Skip>,
-    /// Most rays a pixel and frame, by kind: primary, bounce, shadow.
-    pub rays_per_pixel: [u64; 3],
+    /// Most rays a pixel and frame, by kind: see [`Plan::RAY_KINDS`].
+    pub rays_per_pixel: [u64; 4],
+    /// What kernels are specialised on: fixed for all frames, so that no ray asks.
+    pub constants: Vec<(&'static str, u32)>,
+    /// Whether kernels ask which emitters a ray meets ([`crate::world::World::emitters`]).
+    pub emitters: bool,
     /// Whether the answer is exact in the mean.
     pub claim: Claim,
 }
@@ -298,6 +314,28 @@ impl Plan {
     pub const RADIANCE: BufferId = BufferId(1);
     /// Directly visible emission and sky: 3 floats.
     pub const EMISSION: BufferId = BufferId(2);
+
+    /// Names of the kinds of rays.
+    pub const RAY_KINDS: [&'static str; 4] = ["primary", "bounce", "shadow", "emitter"];
+
+    /// A buffer by its name.
+    #[must_use]
+    pub fn buffer(&self, name: &str) -> Option<BufferId> {
+        self.buffers.iter().position(|buffer| buffer.name == name).map(BufferId)
+    }
+
+    /// A constant by its name; 0 where the plan has none.
+    #[must_use]
+    pub fn constant(&self, name: &str) -> u32 {
+        self.constants.iter().find(|(known, _)| *known == name).map_or(0, |(_, value)| *value)
+    }
+
+    /// Whether what was in earlier frames changes later ones.
+    #[must_use]
+    pub fn keeps_history(&self) -> bool {
+        self.buffers.iter().any(|buffer| buffer.history)
+            || self.passes.iter().any(|pass| pass.runs == Runs::WithHistory)
+    }
 
     /// The buffers that every plan begins with.
     #[must_use]
@@ -328,11 +366,12 @@ impl fmt::Display for Plan {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(f, "technique  {}", self.technique)?;
         writeln!(f, "claim      {}", self.claim)?;
-        let [primary, bounce, shadow] = self.rays_per_pixel;
-        writeln!(
-            f,
-            "rays       at most {primary} primary, {bounce} bounce, {shadow} shadow a pixel and frame"
-        )?;
+        let rays: Vec<String> = Self::RAY_KINDS
+            .iter()
+            .zip(self.rays_per_pixel)
+            .map(|(kind, most)| format!("{most} {kind}"))
+            .collect();
+        writeln!(f, "rays       at most {} a pixel and frame", rays.join(", "))?;
         writeln!(f, "passes")?;
         for pass in &self.passes {
             let domain = match pass.domain {
@@ -341,8 +380,12 @@ impl fmt::Display for Plan {
                 Domain::Items(n) => format!("{n} items"),
             };
             let writes: Vec<&str> = pass.writes.iter().map(|id| self.buffers[id.0].name).collect();
-            let once = if pass.once { ", first frame only" } else { "" };
-            writeln!(f, "  {:<12} {domain}{once}; writes {}", pass.name, writes.join(", "))?;
+            let runs = match pass.runs {
+                Runs::Always => "",
+                Runs::Once => ", first frame only",
+                Runs::WithHistory => ", not in the first frame",
+            };
+            writeln!(f, "  {:<12} {domain}{runs}; writes {}", pass.name, writes.join(", "))?;
         }
         writeln!(f, "state")?;
         for buffer in &self.buffers {
@@ -352,6 +395,11 @@ impl fmt::Display for Plan {
             };
             let history = if buffer.history { ", two frames" } else { "" };
             writeln!(f, "  {:<12} {} bytes {per}{history}", buffer.name, buffer.bytes)?;
+        }
+        if !self.constants.is_empty() {
+            let constants: Vec<String> =
+                self.constants.iter().map(|(name, value)| format!("{name} {value}")).collect();
+            writeln!(f, "fixed\n  {}", constants.join(", "))?;
         }
         writeln!(f, "left out")?;
         for skip in &self.skipped {

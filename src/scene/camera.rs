@@ -1,6 +1,6 @@
 //! The perspective camera.
 
-use glam::{Vec2, Vec3};
+use glam::{Affine3A, Vec2, Vec3};
 
 use super::Transform;
 
@@ -66,21 +66,58 @@ impl Camera {
         }
     }
 
+    /// Where world points lie in a `size` picture: inverse of [`Camera::rays`].
+    #[must_use]
+    pub fn projection(&self, size: [u32; 2]) -> Projection {
+        let to_world = self.to_world.fixed();
+        let size = Vec2::new(size[0] as f32, size[1] as f32);
+        let scale = (0.5 * self.fov).tan() * 2.0 / size.min_element();
+        Projection {
+            to_camera: to_world.inverse(),
+            origin: to_world.translation.into(),
+            per_unit: scale.recip(),
+            middle: 0.5 * size,
+        }
+    }
+
     /// The pixel position that a world point projects to, or `None` at and behind the pinhole. Inverse of [`CameraRays::ray`].
     #[must_use]
     pub fn project(&self, point: Vec3, size: [u32; 2]) -> Option<Vec2> {
-        let local = self.to_world.fixed().inverse().transform_point3(point);
-        let size = Vec2::new(size[0] as f32, size[1] as f32);
-        let scale = (0.5 * self.fov).tan() * 2.0 / size.min_element();
-        let position = Vec2::new(local.x, -local.y) / (local.z * scale) + 0.5 * size;
+        self.projection(size).project(point)
+    }
+}
+
+/// World points to pixel positions, with what all share computed once.
+#[derive(Clone, Copy, Debug)]
+pub struct Projection {
+    to_camera: Affine3A,
+    origin: Vec3,
+    per_unit: f32,
+    middle: Vec2,
+}
+
+impl Projection {
+    /// The pixel position of a world point, or `None` at and behind the pinhole.
+    #[inline]
+    #[must_use]
+    pub fn project(&self, point: Vec3) -> Option<Vec2> {
+        let local = self.to_camera.transform_point3(point);
+        let position = Vec2::new(local.x, -local.y) * (self.per_unit / local.z) + self.middle;
         (local.z > 0.0 && position.is_finite()).then_some(position)
+    }
+
+    /// Distance of a world point from the pinhole.
+    #[inline]
+    #[must_use]
+    pub fn distance(&self, point: Vec3) -> f32 {
+        (point - self.origin).length()
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::{Affine3A, Quat};
+    use glam::Quat;
 
     #[test]
     fn project_inverts_ray() {

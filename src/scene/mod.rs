@@ -24,7 +24,7 @@ mod validate;
 
 use std::sync::Arc;
 
-pub use camera::{Camera, CameraRay, CameraRays};
+pub use camera::{Camera, CameraRay, CameraRays, Projection};
 pub use generate::{generate, generate_pbrt, many_lights};
 
 pub use image::{Image, ImageData};

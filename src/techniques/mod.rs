@@ -5,11 +5,13 @@
 
 mod pass;
 mod path_tracer;
+mod restir_di;
 
 use std::fmt;
 
-pub use pass::{Band, Buffer, FrameInputs, MAX_WRITES, PrimaryHit};
+pub use pass::{Band, Buffer, FrameInputs, MAX_WRITES, Motion, PrimaryHit};
 pub use path_tracer::PathTracer;
+pub use restir_di::{LightTiles, MAX_NEIGHBOURS, RestirDi};
 
 use crate::error::{Error, Result, suggest};
 use crate::path::Counters;
@@ -58,7 +60,8 @@ pub struct Parameter {
 }
 
 /// All techniques.
-pub const REGISTRY: &[Entry] = &[path_tracer::BSDF, path_tracer::NEE];
+pub const REGISTRY: &[Entry] =
+    &[path_tracer::BSDF, path_tracer::NEE, restir_di::RIS, restir_di::RESTIR_DI];
 
 /// The `key=value` pairs of a SPEC.
 #[derive(Clone, Debug, Default)]
@@ -77,8 +80,7 @@ impl Values {
         default: u32,
         range: std::ops::RangeInclusive<u32>,
     ) -> Result<u32> {
-        let Some(at) = self.pairs.iter().position(|(k, _)| k == key) else { return Ok(default) };
-        let (_, text) = self.pairs.remove(at);
+        let Some(text) = self.text(key) else { return Ok(default) };
         match text.parse::<u32>() {
             Ok(value) if range.contains(&value) => Ok(value),
             _ => Err(Error::usage(format!(
@@ -87,6 +89,45 @@ impl Values {
                 range.end()
             ))),
         }
+    }
+}
+
+impl Values {
+    /// The value of `key` as one of `names`, by its place among them.
+    ///
+    /// # Errors
+    /// A usage error that lists the names, nearest first.
+    pub fn choice(&mut self, key: &str, default: usize, names: &[&str]) -> Result<usize> {
+        let Some(text) = self.text(key) else { return Ok(default) };
+        names.iter().position(|name| *name == text).ok_or_else(|| {
+            Error::usage(format!("`{key}` has no value `{text}`; {}", suggest(&text, names)))
+        })
+    }
+
+    /// The value of `key` as a number in `range`, or `default`.
+    ///
+    /// # Errors
+    /// A usage error that names the key, what was given and what is allowed.
+    pub fn number(
+        &mut self,
+        key: &str,
+        default: f32,
+        range: std::ops::RangeInclusive<f32>,
+    ) -> Result<f32> {
+        let Some(text) = self.text(key) else { return Ok(default) };
+        match text.parse::<f32>() {
+            Ok(value) if range.contains(&value) => Ok(value),
+            _ => Err(Error::usage(format!(
+                "`{key}` is `{text}`, but must be a number in [{}, {}]",
+                range.start(),
+                range.end()
+            ))),
+        }
+    }
+
+    fn text(&mut self, key: &str) -> Option<String> {
+        let at = self.pairs.iter().position(|(k, _)| k == key)?;
+        Some(self.pairs.remove(at).1)
     }
 }
 

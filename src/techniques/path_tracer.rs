@@ -10,7 +10,7 @@ use crate::accel::{HitFilter, Ray};
 use crate::error::Result;
 use crate::math::rng::path_seed;
 use crate::path::{Counters, Limits, emitted, finite_or_counted, scattered_radiance};
-use crate::plan::{Claim, Domain, Filter, Kernel, Pass, Plan, SceneFacts, Shot, Skip};
+use crate::plan::{Claim, Domain, Filter, Kernel, Pass, Plan, Runs, SceneFacts, Shot, Skip};
 use crate::world::WithFilter;
 
 const PARAMETERS: &[Parameter] = &[Parameter {
@@ -163,7 +163,7 @@ impl Technique for PathTracer {
                     kernel: Kernel::PrimaryHits,
                     domain: Domain::Pixels,
                     writes: vec![Plan::HITS, Plan::EMISSION],
-                    once: still && !facts.moving_lights,
+                    runs: if still && !facts.moving_lights { Runs::Once } else { Runs::Always },
                 });
                 if shot.effort > 1 {
                     skipped.push(Skip {
@@ -182,7 +182,7 @@ impl Technique for PathTracer {
                     kernel: Kernel::Technique(0),
                     domain: Domain::Pixels,
                     writes: vec![Plan::RADIANCE],
-                    once: false,
+                    runs: Runs::Always,
                 });
             }
             Filter::Box => passes.push(Pass {
@@ -190,7 +190,7 @@ impl Technique for PathTracer {
                 kernel: Kernel::Technique(0),
                 domain: Domain::Pixels,
                 writes: vec![Plan::RADIANCE, Plan::EMISSION],
-                once: false,
+                runs: Runs::Always,
             }),
         }
         let sampled = self.light_sampling && facts.light_count() > 0;
@@ -220,7 +220,10 @@ impl Technique for PathTracer {
                 primary,
                 bounces * samples,
                 if sampled { bounces * samples } else { 0 },
+                0,
             ],
+            constants: Vec::new(),
+            emitters: false,
             claim,
         }
     }

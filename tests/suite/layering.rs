@@ -28,6 +28,7 @@ const TABLE: &[(&str, &[&str])] = &[
         &[
             "techniques",
             "plan",
+            "direct",
             "resampling",
             "path",
             "world",

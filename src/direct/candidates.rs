@@ -1,0 +1,163 @@
+//! A pixel's own candidates: light samples and BSDF samples with one mixture density, and light points made ahead in tiles.
+
+use bytemuck::{Pod, Zeroable};
+use glam::{Vec2, Vec3};
+
+use super::{Receiver, Sight};
+use crate::accel::Ray;
+use crate::light::{EmitterPoint, LightPoint};
+use crate::math::rng::{BLOCK_LIGHT, BLOCK_SCATTER, PathSeeds, RandomSource, draw4, unit_float};
+use crate::path::Counters;
+use crate::resampling::{Plain, Reservoir};
+use crate::world::World;
+
+/// A light point made ahead, with its emitter and density: 60 bytes.
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[repr(C)]
+pub struct TileEntry {
+    emitter: EmitterPoint,
+    light: u32,
+    uv: [f32; 2],
+    /// In the light's measure, the choice of the light included; 0: emits nothing.
+    density: f32,
+}
+
+/// Entries of a tile: 15 KB, so that a tile stays in the nearest cache.
+pub(crate) const TILE: u32 = 256;
+
+/// Fills an entry of a tile with the 128 random bits `words`: a light by power, a point uniform on it.
+#[must_use]
+pub fn fill_tile(world: &World, words: [u32; 4], counters: &mut Counters) -> TileEntry {
+    counters.tile_entries += 1;
+    let light = world.lights.choose(words[0], words[1]);
+    let point = LightPoint { light, uv: Vec2::new(unit_float(words[2]), unit_float(words[3])) };
+    match world.lights.emitter(&world.scene, point) {
+        Some(emitter) => TileEntry {
+            emitter,
+            light,
+            uv: point.uv.to_array(),
+            density: world.lights.uniform_density(point),
+        },
+        None => TileEntry::zeroed(),
+    }
+}
+
+/// Where candidates come from.
+#[derive(Clone, Copy, Debug)]
+pub struct Candidates<'a> {
+    /// Light samples.
+    pub lights: u32,
+    /// BSDF samples; each sees all emitters along its ray.
+    pub bsdf: u32,
+    /// How often both are repeated.
+    pub rounds: u32,
+    /// Light points made ahead to draw from, instead of from the light table.
+    pub tile: Option<&'a [TileEntry]>,
+    /// Whether any emitter is a surface, so that BSDF samples need a ray.
+    pub surfaces: bool,
+}
+
+/// The candidate that was selected, as its receiver sees it.
+#[derive(Clone, Copy, Debug)]
+pub struct Chosen {
+    /// The light point.
+    pub point: LightPoint,
+    /// Its emitter.
+    pub emitter: EmitterPoint,
+    /// What the receiver makes of it.
+    pub sight: Sight,
+}
+
+/// A reservoir over a receiver's candidates, numbered from `first`: wᵢ = p̂(yᵢ) / (rounds · (Mₗ pₗ + Mᵦ pᵦ)), so that W = Σw / p̂(Y). The
+/// density of both techniques together stands below the line (balance heuristic; Veach 1997), so it may be asked for candidates of either.
+#[inline(never)] // One call a pixel; every policy's kernel would hold a copy.
+pub fn candidates(
+    receiver: &Receiver<'_>,
+    from: &Candidates<'_>,
+    (seeds, first): (PathSeeds, u32),
+    selection: &mut impl RandomSource,
+    counters: &mut Counters,
+) -> (Plain<LightPoint>, Option<Chosen>) {
+    let world = receiver.world();
+    let (lights, scene) = (&world.lights, &*world.scene);
+    let (surface, outgoing) = receiver.surface();
+    let mut reservoir = Plain::default();
+    let mut chosen = None;
+    let (light_share, bsdf_share) =
+        ((from.lights * from.rounds) as f32, (from.bsdf * from.rounds) as f32);
+    for candidate in 0..from.lights * from.rounds {
+        let words = draw4(seeds.seed(first + candidate), 0, BLOCK_LIGHT);
+        counters.candidates += 1;
+        let (point, emitter, known) = match from.tile {
+            Some(tile) => {
+                let at = (u64::from(words[0]) * tile.len() as u64) >> 32;
+                let entry = &tile[at as usize];
+                if entry.density == 0.0 {
+                    continue;
+                }
+                let point = LightPoint { light: entry.light, uv: Vec2::from(entry.uv) };
+                (point, entry.emitter, Some(entry.density))
+            }
+            None => {
+                let light = lights.choose(words[0], words[1]);
+                let u = Vec2::new(unit_float(words[2]), unit_float(words[3]));
+                let point = lights.point_towards(light, surface.position, u);
+                let Some(emitter) = lights.emitter(scene, point) else { continue };
+                (point, emitter, None)
+            }
+        };
+        let Some(sight) = receiver.sight(&emitter) else { continue };
+        let density = known.unwrap_or_else(|| {
+            lights.density_towards(point, surface.position, sight.arrival.geometry)
+        });
+        let weight = sight.target() / (light_share * density + bsdf_share * sight.bsdf_density);
+        if reservoir.stream(point, weight, (), selection) {
+            chosen = Some(Chosen { point, emitter, sight });
+        }
+    }
+    for candidate in 0..from.bsdf * from.rounds {
+        let number = first + from.lights * from.rounds + candidate;
+        let words = draw4(seeds.seed(number), 0, BLOCK_SCATTER);
+        counters.candidates += 1;
+        let Some(sample) = surface.bsdf.sample(*outgoing, words).filter(|s| !s.delta) else {
+            continue;
+        };
+        let direction = surface.frame.to_world(sample.wi).normalize();
+        let mut offer = |point: LightPoint| {
+            let Some(emitter) = lights.emitter(scene, point) else { return };
+            let Some(sight) = receiver.sight(&emitter) else { return };
+            let density = if from.tile.is_some() {
+                lights.uniform_density(point)
+            } else {
+                lights.density_towards(point, surface.position, sight.arrival.geometry)
+            };
+            let weight = sight.target() / (light_share * density + bsdf_share * sight.bsdf_density);
+            if reservoir.stream(point, weight, (), selection) {
+                chosen = Some(Chosen { point, emitter, sight });
+            }
+        };
+        for (light, environment) in lights.environments() {
+            if let Some(uv) = environment.invert(direction) {
+                offer(LightPoint { light, uv });
+            }
+        }
+        if from.surfaces
+            && let Some(emitters) = world.emitters()
+        {
+            counters.emitter_rays += 1;
+            let ray = Ray { origin: surface.origin(direction), direction, t_max: f32::INFINITY };
+            emitters.along(&ray, lights, offer);
+        }
+    }
+    counters.weights_rejected += u64::from(reservoir.rejected());
+    (reservoir, chosen)
+}
+
+impl Chosen {
+    /// F of the candidate, unshadowed.
+    #[inline]
+    #[must_use]
+    pub fn integrand(&self) -> Vec3 {
+        self.sight.integrand
+    }
+}
