@@ -762,7 +762,6 @@ impl<'a> Planner<'a> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use crate::techniques::parse;
 
     #[test]

@@ -145,8 +145,16 @@ fn in_bands(technique: &dyn Technique, stage: &Stage, shot: Shot, rows: u32) -> 
         assert_eq!(pass.domain, Domain::Pixels, "another domain needs a test of its own");
         let mut owned: Vec<Vec<u32>> =
             pass.writes.iter().map(|id| std::mem::take(&mut buffers[id.0].current)).collect();
-        let inputs =
-            FrameInputs { world, previous: None, shot, camera, frame: 0, buffers: &buffers };
+        let inputs = FrameInputs {
+            world,
+            previous: None,
+            shot,
+            plan: &plan,
+            camera,
+            motion: None,
+            frame: 0,
+            buffers: &buffers,
+        };
         match pass.kernel {
             Kernel::PrimaryHits => {
                 let hits: &mut [PrimaryHit] = bytemuck::cast_slice_mut(&mut owned[0]);
