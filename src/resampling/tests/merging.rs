@@ -262,6 +262,25 @@ fn without_anything_to_merge_the_canonical_comes_out_bit_for_bit() {
 }
 
 #[test]
+fn a_canonical_of_any_numbers_comes_out_bit_for_bit() {
+    let mut random = Stream::from_key(4);
+    for _ in 0..2000 {
+        let mut any = |from: f32| from + random.uniform();
+        let map = Finite {
+            mass: vec![vec![any(0.1)]; 3],
+            target: vec![vec![any(0.1)]; 3],
+            image: vec![vec![Some(0)], vec![None], vec![None]],
+        };
+        let own = certain(0, any(0.1), any(0.1));
+        let inputs = [own, certain(0, any(0.1), any(0.1)), Finished::empty(any(0.1))];
+        for family in Family::ALL.into_iter().filter(|f| f.partitions_unity()) {
+            let out = merge(&map, family, &inputs, &mut random, |_| ()).0.finished;
+            assert_eq!((out.sample, out.weight), (own.sample, own.weight), "{family:?}");
+        }
+    }
+}
+
+#[test]
 fn an_empty_canonical_takes_what_a_neighbour_has_and_sums_confidences() {
     let map = Finite::shared(&[&[0.0, 1.0], &[1.0, 1.0]]);
     let mut random = Stream::from_key(3);

@@ -2,9 +2,11 @@
 
 mod laws;
 mod merging;
+mod mutation;
+mod numerics;
 mod visibility;
 
-use super::{Counting, Finished, Input, Plain, Reservoir, ShiftMap, Shifted};
+use super::{ContributionWeight, Counting, Finished, Input, Plain, Reservoir, ShiftMap, Shifted};
 use crate::math::rng::{RandomSource, Stream};
 
 /// Probabilities are f64, weights f32 of some ten operations: a fraction that differs is off by far more.
