@@ -66,16 +66,13 @@ fn merge(
     family: Family,
     inputs: &[Sample],
     random: &mut impl RandomSource,
-    mut see: impl FnMut(&Term<usize, f32>),
+    see: impl FnMut(&Term<usize, f32>),
 ) -> (Out, Plain<usize>) {
     let domains: Vec<usize> = (0..inputs.len()).collect();
     let inputs: Vec<_> = inputs.iter().zip(&domains).map(|(&f, d)| map.input(f, d)).collect();
     let mut reservoir = Plain::default();
     let (canonical, others) = inputs.split_first().unwrap();
-    let merged =
-        spatial(&mut map.clone(), family, canonical, others, &mut reservoir, random, |term| {
-            see(term)
-        });
+    let merged = spatial(&mut map.clone(), family, canonical, others, &mut reservoir, random, see);
     (merged, reservoir)
 }
 
@@ -129,6 +126,54 @@ fn a_merge_is_exact_on_random_domains_with_partial_maps_and_jacobians() {
     }
     // Control.
     assert!(constant_fails > 75, "constant weights fail {constant_fails} times only");
+}
+
+#[test]
+fn all_terms_together_are_as_exact_as_the_selected_one_if_their_weights_are_known_in_time() {
+    let mut random = Stream::from_key(13);
+    let mut late_fails = 0;
+    for _ in 0..150 {
+        let map = Finite::random(&mut random);
+        let confidences = confidences(map.mass.len(), &mut random);
+        for family in Family::ALL {
+            let outcomes = enumerate_f64(|random| {
+                let inputs: Vec<Sample> = confidences
+                    .iter()
+                    .enumerate()
+                    .map(|(domain, &c)| map.initial(domain, (1, c), random))
+                    .collect();
+                let mut shown = [0.0; 4];
+                // The selection does not matter here.
+                let mut chance = Stream::from_key(1);
+                merge(&map, family, &inputs, &mut chance, |term| {
+                    let sample = term.shifted.map_or(inputs[0].sample, |s| Some(s.sample));
+                    shown[sample.unwrap()] += f64::from(term.contribution);
+                });
+                shown
+            });
+            let exact = expected(&map)
+                .into_iter()
+                .enumerate()
+                .all(|(y, exact)| is_close(expectation(&outcomes, |shown| shown[y]), exact));
+            if family.terms_partition_unity() {
+                assert!(exact, "{family:?}: {map:?}, {confidences:?}");
+            } else {
+                late_fails += u32::from(!exact);
+            }
+        }
+    }
+    // Control: constant weights, of three families.
+    assert!(late_fails > 3 * 75, "constant weights fail {late_fails} times only");
+}
+
+#[test]
+fn an_input_that_cannot_draw_what_its_target_says_is_a_loss() {
+    let map = Finite::shared(&[&[1.0, 1.0], &[1.0, 1.0]]);
+    let measured = measure(&map, |random| {
+        let inputs = [map.initial(0, (1, 1.0), random), certain(1, 1.0, 1.0)];
+        merge(&map, Family::DefensivePairwise, &inputs, random, |_| ()).0.finished
+    });
+    assert_close(measured.iter().sum(), 7.0 / 4.0);
 }
 
 #[test]
