@@ -17,9 +17,12 @@ pub struct Conditions {
     pub reuse: bool,
     /// Whether merges of unequal domains use weights that sum to 1 over the inputs that reach a sample.
     pub partition: bool,
+    /// The same of the weights that single inputs are shown with: false for families that know theirs only after the selection, where
+    /// supports differ.
+    pub streamed_partition: bool,
     /// Whether an input that carries an averaged visibility keeps a MIS weight mᵢ p̂ |∂T| / p̂ᵢ that is the same for all samples.
     pub chained_weight_constant: bool,
-    /// Whether the visibility function and the receiver are the same in all frames that a chain spans.
+    /// Whether the visibility function is the same wherever a chain has been: receiver, lights and occluders stay.
     pub still: bool,
     /// Whether f / p̂ is the same for all samples of a receiver, in every channel.
     pub target_proportional: bool,
@@ -27,6 +30,9 @@ pub struct Conditions {
     pub own_visibility: bool,
     /// Whether a sample of positive target can have been dropped because one receiver did not see it.
     pub drops_occluded: bool,
+    /// Whether confidences, coefficients, the choice of neighbours and the number of mutations depend on surfaces alone, never on a
+    /// sample: its weight, its age, whether it was occluded.
+    pub sample_blind: bool,
 }
 
 /// A pixel's final state to radiance.
@@ -66,6 +72,9 @@ fn reasons(conditions: &Conditions) -> Vec<String> {
     }
     if conditions.reuse && conditions.drops_occluded {
         reasons.push("samples that one pixel does not see are lost to pixels that do".into());
+    }
+    if conditions.reuse && !conditions.sample_blind {
+        reasons.push("how much a sample counts depends on the sample".into());
     }
     reasons
 }
@@ -152,7 +161,12 @@ impl Estimator for Decoupled {
     }
 
     fn claim(conditions: &Conditions) -> Claim {
-        Selected::claim(conditions)
+        match Selected::claim(conditions) {
+            Claim::Unbiased if conditions.reuse && !conditions.streamed_partition => Claim::Biased(
+                "the inputs' own weights lose what one of them cannot reach: only the selected one's is right".into(),
+            ),
+            claim => claim,
+        }
     }
 }
 
@@ -171,6 +185,6 @@ impl Estimator for ControlVariate {
     }
 
     fn claim(conditions: &Conditions) -> Claim {
-        Selected::claim(conditions)
+        Decoupled::claim(conditions)
     }
 }

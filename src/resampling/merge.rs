@@ -46,7 +46,7 @@ pub struct Merged<S, I, M> {
 /// Merges `others` into `canonical`: wᵢ = mᵢ p̂(T yᵢ) Wᵢ |∂T|, Y ∝ w, W = Σw / p̂(Y) (Lin et al. 2022, eq. 19, 22).
 ///
 /// Others must have been accepted by their domains alone, never by their samples; one whose shift fails stays in the MIS weights.
-/// `carry` is asked for each input that is streamed with a positive weight, others first, what it brings to `reservoir`, which must be empty.
+/// `carry` is asked for each input that is streamed, which those of weight 0 are not, others first, what it brings to `reservoir`, which must be empty.
 ///
 /// Shifts from and to the others are only made where a weight needs them: none to an input while the canonical has no sample, none at all
 /// for constant weights.
@@ -68,6 +68,7 @@ where
     let other_confidence: f32 = others.iter().map(|o| o.finished.confidence).sum();
     let total = own.confidence + other_confidence;
     debug_assert!(own.confidence > 0.0, "the canonical input has confidence {}", own.confidence);
+    debug_assert!(total.is_finite(), "the confidences sum to {total}: is there a cap?");
     let pairwise = Pairwise {
         canonical: own.confidence,
         others: other_confidence,
@@ -125,7 +126,8 @@ where
         };
         let contribution = mis * weight.get() * candidate.jacobian;
         let weight = contribution * target;
-        if weight > 0.0 {
+        // NaN is not passed over: the reservoir counts it.
+        if weight != 0.0 {
             any_other = true;
             let term = Term { input: at + 1, mis, contribution, weight, shifted: Some(candidate) };
             if reservoir.stream(candidate.sample, weight, carry(&term), random) {
@@ -152,7 +154,7 @@ where
         }
         let contribution = canonical_mis * own.weight.get();
         let weight = contribution * canonical.target;
-        if weight > 0.0 {
+        if weight != 0.0 {
             let term = Term { input: 0, mis: canonical_mis, contribution, weight, shifted: None };
             if reservoir.stream(sample, weight, carry(&term), random) {
                 (any_selected, source, shifted) = (true, 0, None);
@@ -168,48 +170,57 @@ where
         }
     }
 
+    let nothing =
+        Merged { finished: Finished::empty(total), target: 0.0, source: 0, integrand: None };
     if !any_selected {
-        return Merged {
-            finished: Finished::empty(total),
-            target: 0.0,
-            source: 0,
-            integrand: None,
-        };
+        return nothing;
     }
     let target = shifted.map_or(canonical.target, |s| s.integrand.target());
     let scale = match family {
         Family::InverseCount | Family::Contribution if other_confidence > 0.0 => {
             let sample = shifted.map_or(own.sample, |s| Some(s.sample));
+            // p̂ of the selected sample in the domain that it comes from, as seen from here.
+            let of_source = match (&shifted, source.checked_sub(1)) {
+                (Some(shifted), Some(at)) => others[at].target / shifted.jacobian,
+                _ => target,
+            };
             let mut reach = 0.0;
             let mut sum = 0.0;
-            let mut of_source = target;
             let mut count = |confidence: f32, from: f32| {
                 if from > 0.0 {
                     reach += confidence;
-                    sum += confidence * (from / target);
+                    // Ratios of targets: sums of huge targets would overflow.
+                    sum += confidence * (from / of_source);
                 }
             };
             count(own.confidence, target);
             for (at, other) in others.iter().enumerate() {
-                let from = match (&shifted, &sample) {
-                    (Some(shifted), _) if source == at + 1 => {
-                        of_source = other.target / shifted.jacobian;
-                        of_source
-                    }
-                    (_, Some(sample)) => target_from(map, sample, canonical.domain, other.domain),
-                    (_, None) => 0.0,
+                let confidence = other.finished.confidence;
+                if source == at + 1 {
+                    count(confidence, of_source);
+                } else if let Some(sample) = &sample
+                    && confidence > 0.0
+                {
+                    count(confidence, target_from(map, sample, canonical.domain, other.domain));
+                }
+            }
+            if !any_other && reach == own.confidence {
+                // As above: nothing was merged.
+                return Merged {
+                    finished: Finished { confidence: total, ..own },
+                    target,
+                    ..nothing
                 };
-                count(other.finished.confidence, from);
             }
-            if family == Family::InverseCount {
-                total / reach
-            } else {
-                total * (of_source / target) / sum
-            }
+            if family == Family::InverseCount { total / reach } else { total / sum }
         }
         _ => 1.0,
     };
     let finished = reservoir.finish_scaled(scale, target, total);
+    if finished.sample.is_none() {
+        // W is 0 or infinite in f32.
+        return nothing;
+    }
     Merged { finished, target, source, integrand: shifted.map(|s| s.integrand) }
 }
 

@@ -60,6 +60,13 @@ impl Family {
     pub const fn partitions_unity(self) -> bool {
         !matches!(self, Self::Constant)
     }
+
+    /// Whether the same holds for the weights of the single terms, so that their sum may be shown as well as the selected sample. `InverseCount`
+    /// and `Contribution` know their weights only after the selection: their terms have constant ones.
+    #[must_use]
+    pub const fn terms_partition_unity(self) -> bool {
+        matches!(self, Self::Balance | Self::Pairwise | Self::DefensivePairwise)
+    }
 }
 
 /// x / (x + y) for x ≥ 0 and y ≥ 0; 0 where x is 0. By the ratio, so that neither product nor sum overflows.
@@ -77,8 +84,9 @@ pub fn balance(own: (f32, f32), others: impl Iterator<Item = (f32, f32)>) -> f32
     if confidence <= 0.0 || target <= 0.0 {
         return 0.0;
     }
-    // Ratios of targets: sums of huge targets would overflow.
-    1.0 / (1.0 + others.map(|(c, from)| c / confidence * (from / target)).sum::<f32>())
+    // Ratios of targets: sums of huge targets would overflow. A ratio may still be infinite, so what counts for nothing is left out.
+    let rivals = others.filter(|&(c, _)| c > 0.0);
+    1.0 / (1.0 + rivals.map(|(c, from)| c / confidence * (from / target)).sum::<f32>())
 }
 
 /// The two confidences that pairwise weights of one merge share.
@@ -143,11 +151,7 @@ pub fn weights(family: Family, confidences: &[f32], from: &[f32]) -> Vec<f32> {
                 let reach: f32 = (0..n).filter(|&j| from[j] > 0.0).map(|j| confidences[j]).sum();
                 if from[i] > 0.0 { confidences[i] / reach } else { 0.0 }
             }
-            Family::Contribution => {
-                let sum: f32 = (0..n).map(|j| confidences[j] * from[j]).sum();
-                if from[i] > 0.0 { confidences[i] * from[i] / sum } else { 0.0 }
-            }
-            Family::Balance => balance(
+            Family::Contribution | Family::Balance => balance(
                 (confidences[i], from[i]),
                 (0..n).filter(|&j| j != i).map(|j| (confidences[j], from[j])),
             ),

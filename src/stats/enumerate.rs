@@ -161,29 +161,71 @@ impl fmt::Debug for Rational {
     }
 }
 
+/// A number that probabilities are counted in: [`Rational`], exact while it fits, or `f64`, for weights of any size.
+pub trait Probability:
+    Copy + fmt::Debug + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self>
+{
+    /// 0.
+    const ZERO: Self;
+    /// 1.
+    const ONE: Self;
+
+    /// `weight / total`.
+    fn ratio(weight: f32, total: f32) -> Self;
+
+    /// `1 / n`.
+    fn one_in(n: u32) -> Self;
+}
+
+impl Probability for Rational {
+    const ZERO: Self = Self::ZERO;
+    const ONE: Self = Self::ONE;
+
+    fn ratio(weight: f32, total: f32) -> Self {
+        Self::from_f64(weight.into()) * Self::from_f64(total.into()).recip()
+    }
+
+    fn one_in(n: u32) -> Self {
+        Self::new(1, n.into())
+    }
+}
+
+impl Probability for f64 {
+    const ZERO: Self = 0.0;
+    const ONE: Self = 1.0;
+
+    fn ratio(weight: f32, total: f32) -> Self {
+        Self::from(weight) / Self::from(total)
+    }
+
+    fn one_in(n: u32) -> Self {
+        1.0 / Self::from(n)
+    }
+}
+
 /// One possible outcome of a random algorithm.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Outcome<T> {
-    /// Exact probability; over all outcomes they sum to 1.
-    pub probability: Rational,
+pub struct Outcome<T, P = Rational> {
+    /// Its probability; over all outcomes they sum to 1.
+    pub probability: P,
     /// What the algorithm returned.
     pub value: T,
 }
 
-/// A random source that takes every branch in turn; made by [`enumerate`].
+/// A random source that takes every branch in turn; made by [`enumerate`] and [`enumerate_f64`].
 ///
 /// [`choose`](RandomSource::choose) forks in two unless one side is impossible, [`index`](RandomSource::index) in `n`,
 /// [`uniform`](RandomSource::uniform) in the given number of strata.
 #[derive(Debug)]
-pub struct Enumerator {
+pub struct Enumerator<P = Rational> {
     strata: u32,
     /// Branch taken and number of branches, per fork of this run.
     forks: Vec<(u32, u32)>,
     depth: usize,
-    probability: Rational,
+    probability: P,
 }
 
-impl Enumerator {
+impl<P: Probability> Enumerator<P> {
     fn fork(&mut self, branches: u32) -> u32 {
         if self.depth == self.forks.len() {
             self.forks.push((0, branches));
@@ -200,7 +242,7 @@ impl Enumerator {
             if branch + 1 < count {
                 self.forks.push((branch + 1, count));
                 self.depth = 0;
-                self.probability = Rational::ONE;
+                self.probability = P::ONE;
                 return true;
             }
         }
@@ -208,7 +250,7 @@ impl Enumerator {
     }
 }
 
-impl RandomSource for Enumerator {
+impl<P: Probability> RandomSource for Enumerator<P> {
     fn choose(&mut self, weight: f32, total: f32) -> bool {
         assert!(
             total.is_finite() && 0.0 <= weight && weight <= total,
@@ -217,15 +259,15 @@ impl RandomSource for Enumerator {
         if weight == 0.0 || weight == total {
             return weight > 0.0;
         }
-        let yes = Rational::from_f64(weight.into()) * Rational::from_f64(total.into()).recip();
+        let yes = P::ratio(weight, total);
         let chosen = self.fork(2) == 1;
-        self.probability = self.probability * if chosen { yes } else { Rational::ONE - yes };
+        self.probability = self.probability * if chosen { yes } else { P::ONE - yes };
         chosen
     }
 
     fn index(&mut self, n: u32) -> u32 {
         assert!(n > 0, "index(0), but there must be something to choose from");
-        self.probability = self.probability * Rational::new(1, n.into());
+        self.probability = self.probability * P::one_in(n);
         self.fork(n)
     }
 
@@ -266,9 +308,32 @@ pub fn enumerate<T>(algorithm: impl FnMut(&mut Enumerator) -> T) -> Vec<Outcome<
 #[must_use]
 pub fn enumerate_stratified<T>(
     strata: u32,
-    mut algorithm: impl FnMut(&mut Enumerator) -> T,
+    algorithm: impl FnMut(&mut Enumerator) -> T,
 ) -> Vec<Outcome<T>> {
-    let mut source = Enumerator { strata, forks: Vec::new(), depth: 0, probability: Rational::ONE };
+    run(strata, algorithm)
+}
+
+/// As [`enumerate`], with probabilities in `f64`, right to about 10⁻¹⁵ a fork: for algorithms that compute their weights in `f32`, whose
+/// exact fractions soon need more than 128 bits.
+///
+/// ```
+/// use afterimage::math::rng::RandomSource;
+/// use afterimage::stats::{enumerate_f64, expectation};
+///
+/// // Three coins of probability 0.1, as near as f32 comes.
+/// let heads = enumerate_f64(|coin| (0..3).filter(|_| coin.choose(0.1, 1.0)).count());
+/// assert!((expectation(&heads, |&n| n as f64) - 0.3).abs() < 1e-7);
+/// ```
+#[must_use]
+pub fn enumerate_f64<T>(algorithm: impl FnMut(&mut Enumerator<f64>) -> T) -> Vec<Outcome<T, f64>> {
+    run(0, algorithm)
+}
+
+fn run<T, P: Probability>(
+    strata: u32,
+    mut algorithm: impl FnMut(&mut Enumerator<P>) -> T,
+) -> Vec<Outcome<T, P>> {
+    let mut source = Enumerator { strata, forks: Vec::new(), depth: 0, probability: P::ONE };
     let mut outcomes = Vec::new();
     loop {
         let value = algorithm(&mut source);
@@ -279,10 +344,10 @@ pub fn enumerate_stratified<T>(
     }
 }
 
-/// The exact expectation Σ probability · f(value).
+/// The expectation Σ probability · f(value), as exact as the probabilities.
 #[must_use]
-pub fn expectation<T>(outcomes: &[Outcome<T>], f: impl Fn(&T) -> Rational) -> Rational {
-    outcomes.iter().fold(Rational::ZERO, |sum, o| sum + o.probability * f(&o.value))
+pub fn expectation<T, P: Probability>(outcomes: &[Outcome<T, P>], f: impl Fn(&T) -> P) -> P {
+    outcomes.iter().fold(P::ZERO, |sum, o| sum + o.probability * f(&o.value))
 }
 
 #[cfg(test)]
@@ -332,6 +397,27 @@ mod tests {
         assert_eq!(more, ratio(1, 9));
         let mean = expectation(&outcomes, |o| Rational::from_f64(o.3.into()));
         assert_eq!(mean, ratio(1, 2));
+    }
+
+    #[test]
+    fn floating_probabilities_agree_with_the_fractions_and_go_on_where_those_overflow() {
+        fn toss(coin: &mut impl RandomSource) -> u32 {
+            let heads: u32 = (0..4).map(|i| u32::from(coin.choose(1.0, 3.0 + i as f32))).sum();
+            heads + coin.index(3)
+        }
+        let exact = enumerate(toss);
+        let floating = enumerate_f64(toss);
+        assert_eq!(exact.len(), floating.len());
+        for (exact, floating) in exact.iter().zip(&floating) {
+            assert_eq!(exact.value, floating.value);
+            assert!((exact.probability.to_f64() - floating.probability).abs() < 1e-15);
+        }
+        // 24-bit weights: the common denominator of nine such draws has more than 200 bits.
+        let heads = enumerate_f64(|coin| (0..9).filter(|_| coin.choose(0.1, 0.7)).count());
+        assert_eq!(heads.len(), 1 << 9);
+        assert!((expectation(&heads, |_| 1.0) - 1.0).abs() < 1e-14);
+        let mean = 9.0 * f64::from(0.1_f32) / f64::from(0.7_f32);
+        assert!((expectation(&heads, |&n| n as f64) - mean).abs() < 1e-14);
     }
 
     // The 1/M toy: four states, targets of pixels a and b with different supports, uniform candidates.

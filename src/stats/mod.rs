@@ -7,7 +7,7 @@
 //! | many tests at once? | [`holm`], [`sidak`], [`benjamini_hochberg`], [`two_stage`] |
 //! | same distribution? | [`ks_uniform`], [`ks_two_sample`] |
 //! | is a picture right? | [`Restarts::compare`] with a [`Reference`]: image, tiles, pixels |
-//! | is an expectation exactly right? | [`enumerate`], [`expectation`]: every outcome, exact probabilities |
+//! | is an expectation exactly right? | [`enumerate`], [`expectation`]: every outcome, exact probabilities; [`enumerate_f64`] for weights in `f32` |
 //! | how many samples? | [`samples_for_bias`], [`detectable_bias`] |
 //!
 //! All sums are f64; all tail probabilities are survival functions, never 1 − cdf.
@@ -20,7 +20,10 @@ mod multiple;
 mod picture;
 
 pub use chi_square::{ChiSquare, DensityCheck, Grid, check_sphere, check_square, chi_square};
-pub use enumerate::{Enumerator, Outcome, Rational, enumerate, enumerate_stratified, expectation};
+pub use enumerate::{
+    Enumerator, Outcome, Probability, Rational, enumerate, enumerate_f64, enumerate_stratified,
+    expectation,
+};
 pub use mean::{Equivalence, Estimate, Margin, MeanTest, Verdict, equivalence, t_test, welch};
 pub use moments::{Moments, batch_means};
 pub use multiple::{

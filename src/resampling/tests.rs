@@ -1,1 +1,0 @@
-//! Laws and exact expectations of the core.
