@@ -102,7 +102,7 @@ impl<'a> Receiver<'a> {
     }
 
     /// F of a light point of the receiver's own frame, with its emitter.
-    #[inline]
+    #[inline(never)] // Asked in many places of each kernel; a copy in each made them slow to build and no faster.
     #[must_use]
     pub fn look(&self, point: LightPoint) -> Option<(Sight, EmitterPoint)> {
         let emitter = self.world.lights.emitter(&self.world.scene, point)?;
@@ -110,7 +110,7 @@ impl<'a> Receiver<'a> {
     }
 
     /// Whether nothing stands between the receiver and an emitter's point: one shadow ray.
-    #[inline]
+    #[inline(never)] // As `look`.
     #[must_use]
     pub fn sees<F: HitFilter>(
         &self,

@@ -190,7 +190,7 @@ mod tests {
     #[test]
     fn unknown_names_and_keys_list_what_exists() {
         for (spec, text) in [
-            ("ne", "no technique is called `ne`; known: nee, bsdf"),
+            ("ne", "no technique is called `ne`; known: nee, ris, bsdf, restir-di"),
             ("nee:rulette=3", "`nee` has no parameter `rulette`; known: roulette"),
             (
                 "nee:roulette",

@@ -27,7 +27,7 @@ use crate::plan::{
     Shot, Skip,
 };
 use crate::resampling::{
-    Conditions, ControlVariate, Estimator, Family, Selected, WeightedVisibility,
+    Conditions, ControlVariate, Decoupled, Estimator, Family, Selected, WeightedVisibility,
 };
 use crate::techniques::{Band, Entry, FrameInputs, Parameter, Technique, Values};
 
@@ -394,6 +394,9 @@ impl RestirDi {
             target_proportional: facts.grey_lights && !facts.glossy_lobes && !facts.transmission,
             own_visibility,
             drops_occluded: self.visibility == Visibility::Bitterli,
+            streamed_partition: (!spatial || self.mis.terms_partition_unity())
+                && (!temporal || still || self.temporal_mis.terms_partition_unity()),
+            sample_blind: self.max_age == 0,
         }
     }
 
@@ -402,6 +405,7 @@ impl RestirDi {
         let claim = match self.visibility {
             Visibility::Wis => WeightedVisibility::claim(&conditions),
             Visibility::WisControlVariate => ControlVariate::claim(&conditions),
+            _ if self.decoupled => Decoupled::claim(&conditions),
             _ => Selected::claim(&conditions),
         };
         let mut reasons = match claim {
@@ -410,9 +414,6 @@ impl RestirDi {
         };
         if self.boiling > 0.0 {
             reasons.push("the boiling filter drops bright samples".into());
-        }
-        if self.max_age > 0 {
-            reasons.push("old samples are dropped for what they are".into());
         }
         Claim::unless(&reasons)
     }

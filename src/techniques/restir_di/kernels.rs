@@ -154,14 +154,7 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
             kernel::TEMPORAL => self.temporal::<P, IN_TARGET>(band),
             kernel::MUTATE => self.mutate::<P, IN_TARGET>(band),
             kernel::SHADE => self.shade_only::<P>(band),
-            round => {
-                let round = round - kernel::SPATIAL;
-                match (round + 1 == self.technique.rounds, self.technique.decoupled) {
-                    (true, true) => self.spatial::<P, IN_TARGET, true, true>(round, band),
-                    (true, false) => self.spatial::<P, IN_TARGET, true, false>(round, band),
-                    (false, _) => self.spatial::<P, IN_TARGET, false, false>(round, band),
-                }
-            }
+            round => self.spatial::<P, IN_TARGET>(round - kernel::SPATIAL, band),
         }
     }
 
@@ -629,12 +622,13 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
         counters
     }
 
-    fn spatial<const P: u8, const IN_TARGET: bool, const LAST: bool, const DECOUPLED: bool>(
+    fn spatial<const P: u8, const IN_TARGET: bool>(
         &self,
         round: u32,
         band: &mut Band<'_>,
     ) -> Counters {
         let mut counters = Counters::default();
+        let last = round + 1 == self.technique.rounds;
         let out: &mut [Record] = band.take(0);
         let mut slot = 1;
         let mut next = || {
@@ -643,7 +637,7 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
         };
         let control_out: &mut [Control] =
             if P == policy::CONTROL { band.take(next()) } else { &mut [] };
-        let radiance: &mut [[f32; 3]] = if LAST { band.take(next()) } else { &mut [] };
+        let radiance: &mut [[f32; 3]] = if last { band.take(next()) } else { &mut [] };
         let from = match round {
             0 => buffer::RESERVOIRS,
             odd if odd % 2 == 1 => buffer::BOUNCE,
@@ -651,7 +645,7 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
         };
         let records = self.inputs.read::<Record>(self.id(from));
         // Rounds before the last update the estimates in place; the last one reads them beside what it writes.
-        let controls: &[Control] = if P == policy::CONTROL && LAST {
+        let controls: &[Control] = if P == policy::CONTROL && last {
             self.inputs.read(self.id(buffer::CONTROLS))
         } else {
             &[]
@@ -667,18 +661,18 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
                 if P == policy::CONTROL {
                     control_out[local] = Control::default();
                 }
-                if LAST {
+                if last {
                     radiance[local] = [0.0; 3];
                 }
                 continue;
             };
             let control = match P {
-                policy::CONTROL if LAST => controls[pixel.index as usize],
+                policy::CONTROL if last => controls[pixel.index as usize],
                 policy::CONTROL => control_out[local],
                 _ => Control::default(),
             };
             let receiver = self.receiver(hit, pixel);
-            let (kept, shown) = self.merge_neighbours::<P, IN_TARGET, LAST, DECOUPLED>(
+            let (kept, shown) = self.merge_neighbours::<P, IN_TARGET>(
                 (round, pixel, &receiver),
                 (&record, control),
                 (records, hits, normals),
@@ -689,7 +683,7 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
             if P == policy::CONTROL {
                 control_out[local] = kept.control;
             }
-            if LAST {
+            if last {
                 radiance[local] = finite_or_counted(shown, &mut counters).to_array();
             }
         }
@@ -698,12 +692,7 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
 
     /// Spatial reuse of one pixel: what it keeps, and what it shows.
     #[inline]
-    fn merge_neighbours<
-        const P: u8,
-        const IN_TARGET: bool,
-        const LAST: bool,
-        const DECOUPLED: bool,
-    >(
+    fn merge_neighbours<const P: u8, const IN_TARGET: bool>(
         &self,
         (round, pixel, receiver): (u32, Pixel, &Receiver<'a>),
         (record, control): (&Record, Control),
@@ -711,6 +700,8 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
         map: &mut LightPoints<'a, F, IN_TARGET>,
         counters: &mut Counters,
     ) -> (Kept, Vec3) {
+        let last = round + 1 == self.technique.rounds;
+        let decoupled = last && self.technique.decoupled;
         let mut found = [(0_u32, 0_u32); MAX_NEIGHBOURS];
         let mut count = 0;
         let own = hits[pixel.index as usize].distance();
@@ -763,7 +754,7 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
                 let traced = match P {
                     policy::WIS | policy::CONTROL => true,
                     policy::IN_TARGET => false,
-                    _ => DECOUPLED,
+                    _ => decoupled,
                 };
                 let mut shown = Vec3::ZERO;
                 let mut visibility = own_average;
@@ -771,10 +762,10 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
                     let visible = !traced || self.look(receiver, shifted.sample, &mut rays).1;
                     seen[term.input] = visible;
                     visibility = f32::from(u8::from(visible));
-                    if (P == policy::CONTROL || DECOUPLED) && visible {
+                    if (P == policy::CONTROL || decoupled) && visible {
                         shown = shifted.integrand * term.contribution;
                     }
-                } else if P == policy::CONTROL || DECOUPLED {
+                } else if P == policy::CONTROL || decoupled {
                     let visible = match P {
                         policy::CONTROL => control.visible(),
                         policy::IN_TARGET => true,
@@ -801,13 +792,13 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
             let other = &records[at as usize];
             age = other.age();
             if P == policy::REUSE {
-                kept = if DECOUPLED {
+                kept = if decoupled {
                     Reused::fresh(seen[source]).pack()
                 } else {
                     Reused::unpack(other.visibility()).moved(0, distance).pack()
                 };
             }
-        } else if P == policy::REUSE && DECOUPLED {
+        } else if P == policy::REUSE && decoupled {
             kept = Reused::fresh(seen[0]).pack();
         }
         if P == policy::WIS {
@@ -827,10 +818,10 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
             control_kept = Control::new(estimate, visible);
         }
         let mut shown = Vec3::ZERO;
-        if LAST {
+        if last {
             shown = match P {
                 policy::CONTROL => control_kept.estimate(),
-                _ if DECOUPLED => reservoir.radiance(),
+                _ if decoupled => reservoir.radiance(),
                 _ => self.shade::<P>(receiver, &merged, &mut kept, counters),
             };
         }
