@@ -18,10 +18,22 @@ const TABLE: &[(&str, &[&str])] = &[
     ("world", &["light", "surface", "accel", "scene", "math"]),
     ("path", &["world", "light", "surface", "accel", "scene", "math"]),
     ("resampling", &["math"]),
+    ("direct", &["resampling", "path", "world", "light", "surface", "accel", "scene", "math"]),
     ("plan", &["resampling", "world", "light", "scene", "math"]),
     (
         "techniques",
-        &["plan", "resampling", "path", "world", "light", "surface", "accel", "scene", "math"],
+        &[
+            "plan",
+            "direct",
+            "resampling",
+            "path",
+            "world",
+            "light",
+            "surface",
+            "accel",
+            "scene",
+            "math",
+        ],
     ),
     (
         "frame",

@@ -189,10 +189,13 @@ fn swapping_red_and_blue_swaps_the_channels() {
         for entry in REGISTRY {
             let original = picture(&Stage::new(scene.clone()).unwrap(), entry.name, shot);
             let swapped = picture(&Stage::new(painted(&scene, swap)).unwrap(), entry.name, shot);
-            let back: Vec<[u32; 3]> =
-                bits(&swapped).into_iter().map(|[r, g, b]| [b, g, r]).collect();
-            assert!(bits(&original) == back, "{}", entry.name);
             assert!(bits(&original) != bits(&swapped), "the room has no colours");
+            // A sample is chosen by its luminance, which the swap changes: such pictures agree in the mean only (`oracles`).
+            if !["ris", "restir-di"].contains(&entry.name) {
+                let back: Vec<[u32; 3]> =
+                    bits(&swapped).into_iter().map(|[r, g, b]| [b, g, r]).collect();
+                assert!(bits(&original) == back, "{}", entry.name);
+            }
         }
     }
 }
@@ -395,7 +398,10 @@ fn frames_are_independent_of_how_many_are_rendered() {
     // Without history frame i of a run is the same whether or not others came before, and a long run's mean is that of two short ones.
     let stage = Stage::new(lamp(&[tile(-2.0, 2.0)], 1.0)).unwrap();
     let shot = statistical();
-    for name in unbiased(&stage, &shot) {
+    let independent = |name: &&str| {
+        !afterimage::techniques::parse(name).unwrap().plan(stage.facts(), &shot).keeps_history()
+    };
+    for name in unbiased(&stage, &shot).into_iter().filter(independent) {
         let frames = |run: u64, count: u32| -> Vec<f64> {
             let technique = Arc::from(afterimage::techniques::parse(name).unwrap());
             let shot = Shot { run, effort: 96, ..shot };

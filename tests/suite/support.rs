@@ -227,9 +227,20 @@ pub(crate) fn assert_mean(stage: &Stage, spec: &str, shot: Shot, truth: f64) {
     assert_mean_with(stage, spec, Shot { effort, ..shot }, c, truth);
 }
 
+/// [`restarts`] with as many estimates as [`RESTARTS`] of `shot.effort` have. More effort is more candidates but no more shadow rays for a
+/// technique that keeps reservoirs, so it gets more restarts instead.
+fn samples(stage: &Stage, spec: &str, shot: Shot) -> Moments {
+    let plan = parse(spec).unwrap().plan(stage.facts(), &shot);
+    if plan.buffer("reservoirs").is_some() {
+        restarts(stage, spec, Shot { effort: 1, ..shot }, RESTARTS * u64::from(shot.effort))
+    } else {
+        restarts(stage, spec, shot, RESTARTS)
+    }
+}
+
 #[track_caller]
 fn assert_mean_with(stage: &Stage, spec: &str, shot: Shot, c: f64, truth: f64) {
-    let sample = restarts(stage, spec, shot, RESTARTS);
+    let sample = samples(stage, spec, shot);
     let n = RESTARTS as f64 * f64::from(shot.effort) * shot.pixels() as f64;
     let result = against(&sample, truth);
     println!(
@@ -270,7 +281,7 @@ pub(crate) fn assert_means(scene: Scene, shot: Shot, truth: f64) {
 pub(crate) fn assert_same_mean(a: (&Stage, Shot), b: (&Stage, Shot), spec: &str) {
     let sample = |(stage, shot): (&Stage, Shot), first: u64| {
         let (effort, _) = effort(stage, spec, shot, 2.0);
-        restarts(stage, spec, Shot { effort, run: shot.run + first, ..shot }, RESTARTS)
+        samples(stage, spec, Shot { effort, run: shot.run + first, ..shot })
     };
     let (x, y) = (sample(a, 0).estimate(), sample(b, 1 << 20).estimate());
     let result = equivalence(&welch(&x, &y), &margin(y.mean));
