@@ -232,7 +232,7 @@ pub(crate) fn assert_mean(stage: &Stage, spec: &str, shot: Shot, truth: f64) {
 fn samples(stage: &Stage, spec: &str, shot: Shot) -> Moments {
     let plan = parse(spec).unwrap().plan(stage.facts(), &shot);
     if plan.buffer("reservoirs").is_some() {
-        restarts(stage, spec, Shot { effort: 1, ..shot }, RESTARTS * u64::from(shot.effort))
+        restarts(stage, spec, Shot { effort: 1, ..shot }, RESTARTS * u64::from(shot.effort.max(4)))
     } else {
         restarts(stage, spec, shot, RESTARTS)
     }
