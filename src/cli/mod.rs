@@ -16,13 +16,16 @@ mod fingerprint;
 mod generate;
 mod inspect;
 mod interrupt;
+mod ladder;
 mod list;
 mod machine;
+mod motion;
 mod plan;
 mod progress;
 mod reference;
 mod render;
 mod seeds;
+mod trial;
 mod verify;
 
 use std::io::Write as _;
@@ -159,7 +162,7 @@ fn print(text: &str) -> Result<()> {
 
 /// A line on standard error that is no error.
 fn note(text: &str) {
-    eprintln!("{text}");
+    progress::aside(|| eprintln!("{text}"));
 }
 
 #[cfg(test)]

@@ -27,4 +27,5 @@ pub use results::{
     Bias, Budget, BudgetKind, Claim, Curve, CurvePoint, Figure, FrameTime, METRICS, PassTime,
     ReferenceInfo, Results, Row, SCHEMA,
 };
+pub(crate) use table::align;
 pub use table::{csv, curve_csv, figure, markdown, summary};

@@ -134,7 +134,7 @@ fn notes(results: &Results) -> Vec<String> {
 }
 
 /// Pads the columns so that the table can be read as text.
-fn align(header: &[String], body: &[Vec<String>]) -> String {
+pub(crate) fn align(header: &[String], body: &[Vec<String>]) -> String {
     let width = |column: usize| {
         body.iter()
             .map(|row| &row[column])
