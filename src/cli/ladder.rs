@@ -85,8 +85,8 @@ const MOVING: [&str; 2] = ["scenes/penumbra.pbrt", "scenes/moving.pbrt"];
 const DEPTH: u32 = 2;
 /// Of a quick ladder.
 const QUICK_MINUTES: f64 = 7.0;
-/// Seconds that a reference of a quick ladder may take.
-const QUICK_REFERENCE: f64 = 10.0;
+/// Of a rung's time, what its references may take where the ladder's time is limited.
+const REFERENCE_SHARE: f64 = 0.3;
 
 /// A rung on a scene.
 struct Task<'a> {
@@ -113,10 +113,6 @@ pub(super) fn run(args: &VerifyArgs) -> Result<Status> {
     }
     let tasks = tasks(args)?;
     let against = args.against(&*tasks[0].technique)?;
-    let mut limited = args.reference.clone();
-    if args.quick {
-        limited.reference_time = limited.reference_time.min(QUICK_REFERENCE);
-    }
     let minutes = args.minutes.or(args.quick.then_some(QUICK_MINUTES));
     let begin = Instant::now();
     let progress = Progress::new("ladder", tasks.len() as u64);
@@ -130,11 +126,15 @@ pub(super) fn run(args: &VerifyArgs) -> Result<Status> {
         let engine = engine(args, task)?;
         let ages = args.ages(&engine, &*task.technique);
         let claim = engine.plan(&*task.technique).claim;
+        // A reference serves later rungs too, so its time counts for all of them; its remaining noise is part of every interval.
+        let mut reference = args.reference.clone();
+        let share = REFERENCE_SHARE * seconds / ages.len() as f64;
+        reference.reference_time = reference.reference_time.min(share.max(1.0));
         let settings = Settings {
-            seconds,
+            seconds: (1.0 - REFERENCE_SHARE) * seconds,
             confirm: claim == Claim::Unbiased,
             number: task.number,
-            reference: &limited,
+            reference: &reference,
             ..args.settings(&ages, &against)
         };
         match trial::run(&engine, &task.technique, &settings, &mut references, |_, _| Ok(())) {

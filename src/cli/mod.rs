@@ -17,6 +17,7 @@ mod generate;
 mod inspect;
 mod interrupt;
 mod ladder;
+mod lag;
 mod list;
 mod machine;
 mod motion;
@@ -45,6 +46,10 @@ Examples:
         one picture, with glass.png beside it
   afterimage verify nee scenes/penumbra.pbrt --check
         is it unbiased? exit status 1 if not
+  afterimage verify nee --ladder --quick
+        rung by rung: still, moving camera, light, occluder
+  afterimage lag scenes/penumbra.pbrt --technique nee
+        how many frames does a sudden change take to show?
   afterimage plan scenes/cornell.pbrt --technique nee
         what runs, what is skipped, and why
 
@@ -68,6 +73,7 @@ enum Command {
     Compare(compare::CompareArgs),
     Render(render::RenderArgs),
     Verify(verify::VerifyArgs),
+    Lag(lag::LagArgs),
 
     Inspect(inspect::InspectArgs),
     Plan(plan::PlanArgs),
@@ -99,6 +105,7 @@ pub fn run() -> ExitCode {
         Command::Compare(args) => compare::run(args),
         Command::Render(args) => render::run(args),
         Command::Verify(args) => verify::run(args),
+        Command::Lag(args) => lag::run(args),
 
         Command::Inspect(args) => inspect::run(args),
         Command::Plan(args) => plan::run(args),
