@@ -434,7 +434,8 @@ fn restarts(
             })?;
             shown?;
             contender.restarts.push(&picture.pixels)?;
-            for (ring, power) in contender.rings.iter_mut().zip(figures::spectrum(&picture, truth)?) {
+            for (ring, power) in contender.rings.iter_mut().zip(figures::spectrum(&picture, truth)?)
+            {
                 ring.push(power);
             }
             for (name, value) in figures::of_picture(&picture, truth, Some(&guides))? {

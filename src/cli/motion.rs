@@ -5,7 +5,9 @@
 
 use glam::{Affine3A, Quat, Vec3};
 
-use crate::scene::{Curve, Geometry, Instance, Interpolation, Object, Scene, Shape, Track, Transform};
+use crate::scene::{
+    Curve, Geometry, Instance, Interpolation, Object, Scene, Shape, Track, Transform,
+};
 use crate::world::bounds;
 use crate::{Error, Result};
 

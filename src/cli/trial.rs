@@ -93,8 +93,7 @@ impl References {
         // Dark tiles may need more, and then all of the picture gets it.
         for _ in 0..3 {
             let error = reference_error(like, &made.reference, &tolerance)? / REFERENCE_ERROR;
-            args.reference_time =
-                settings.reference.reference_time - begin.elapsed().as_secs_f64();
+            args.reference_time = settings.reference.reference_time - begin.elapsed().as_secs_f64();
             let Some(now) = made.reference.variance() else { break };
             if error < 1.1 || args.reference_time < 0.5 {
                 break;
@@ -328,12 +327,7 @@ fn judge<'a>(
 /// A part's bias with its interval, in percent: `+0.12 [-0.03, +0.27]`.
 pub(super) fn percent(part: &Part, confidence: f64) -> String {
     let (low, high) = part.relative_interval(confidence);
-    format!(
-        "{:+.2} [{:+.2}, {:+.2}]",
-        100.0 * part.relative(),
-        100.0 * low,
-        100.0 * high
-    )
+    format!("{:+.2} [{:+.2}, {:+.2}]", 100.0 * part.relative(), 100.0 * low, 100.0 * high)
 }
 
 /// Where, without what goes without saying: `blue`, `(16, 0)`, `blue of (16, 0)`; empty for the image's luminance.
@@ -353,8 +347,11 @@ pub(super) fn place(part: &Part) -> String {
 
 #[cfg(test)]
 mod tests {
+    use super::super::motion::{self, Motion};
     use super::*;
     use crate::picture::Picture;
+    use crate::plan::Shot;
+    use crate::techniques::{Band, FrameInputs};
     use glam::Vec3;
 
     const SIZE: [u32; 2] = [16, 16];
@@ -364,9 +361,7 @@ mod tests {
         let pixels = (0..256)
             .map(|at| {
                 let factor = if at % 16 < 8 && at / 16 < 8 { gain } else { 1.0 };
-                let u = crate::math::rng::unit_float(
-                    crate::math::rng::pcg4d([key, at, 3, 5])[0],
-                );
+                let u = crate::math::rng::unit_float(crate::math::rng::pcg4d([key, at, 3, 5])[0]);
                 Vec3::splat(2.0 * factor * u)
             })
             .collect();
@@ -437,5 +432,75 @@ mod tests {
         assert!((500..4000).contains(&ask(0.01)), "{}", ask(0.01));
         let ratio = f64::from(ask(0.005)) / f64::from(ask(0.01));
         assert!((3.9..4.1).contains(&ratio), "{ratio}");
+    }
+
+    /// `nee`, as if the lights were where they were a frame ago.
+    #[derive(Debug)]
+    struct Late(Arc<dyn Technique>);
+
+    impl Technique for Late {
+        fn spec(&self) -> String {
+            "late".to_string()
+        }
+
+        fn plan(&self, facts: &crate::plan::SceneFacts, shot: &Shot) -> Plan {
+            self.0.plan(facts, shot)
+        }
+
+        fn run(
+            &self,
+            kernel: u32,
+            inputs: &FrameInputs<'_>,
+            band: &mut Band<'_>,
+        ) -> crate::path::Counters {
+            let world = inputs.previous.unwrap_or(inputs.world);
+            self.0.run(kernel, &FrameInputs { world, ..*inputs }, band)
+        }
+    }
+
+    /// Light, camera and references of a moving scene, for a technique; δ = 5 %, ages 1 and 3. The light moves by an eighth of its side a frame.
+    fn moving_light(technique: &Arc<dyn Technique>) -> Outcome {
+        let scene = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/penumbra.pbrt");
+        let scene = crate::scene::load::load(&scene).unwrap().scene;
+        let scene = motion::only(&scene, Motion::Light, 0.2).unwrap();
+        let filter = crate::plan::Filter::Point;
+        let shot = Shot { size: [16, 16], depth: 2, filter, run: 1, effort: 1, fps: 30 };
+        let stage = crate::frame::Stage::new(scene).unwrap();
+        let engine = Engine { scene: "x".into(), name: "x".into(), stage, shot };
+        let cache = std::env::temp_dir().join(format!("afterimage-trial-{}", std::process::id()));
+        let args =
+            ReferenceArgs { reference: None, reference_time: 4.0, cache: Some(cache.clone()) };
+        let settings = Settings {
+            ages: &[1, 3],
+            effort: 4,
+            delta: 0.05,
+            restarts: None,
+            most: 1000,
+            seconds: f64::INFINITY,
+            confirm: true,
+            run: 1,
+            number: 0,
+            against: "nee:roulette=60",
+            reference: &args,
+        };
+        let mut references = References::default();
+        let outcome = run(&engine, technique, &settings, &mut references, |_, _| Ok(())).unwrap();
+        // One a frame: they are not the same picture.
+        assert_eq!(references.known.len(), 2);
+        std::fs::remove_dir_all(cache).unwrap();
+        outcome
+    }
+
+    #[test]
+    fn a_technique_late_by_a_frame_fails_where_the_light_moves_and_the_punctual_one_passes() {
+        let nee = engine::technique("nee").unwrap();
+        let punctual = moving_light(&nee);
+        assert_eq!(punctual.last().verdict, Verdict::Pass);
+        let late: Arc<dyn Technique> = Arc::new(Late(nee));
+        let late = moving_light(&late);
+        assert_eq!((late.stages.len(), late.last().verdict), (2, Verdict::Fail));
+        // At the cold start there is no frame before.
+        assert_ne!(late.last().ages[0].verdict(), Verdict::Fail);
+        assert_eq!(late.last().ages[1].verdict(), Verdict::Fail);
     }
 }

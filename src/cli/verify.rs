@@ -117,11 +117,8 @@ impl VerifyArgs {
     /// Small pictures and many restarts: the tiles' means are as certain, and the restarts' law is better known.
     pub(super) fn shrink(&self, engine: &mut Engine) {
         if self.picture.size.is_none() && self.reference.reference.is_none() {
-            engine.shot.size = if self.quick {
-                [32, 32]
-            } else {
-                engine.shot.size.map(|side| side.div_ceil(2))
-            };
+            engine.shot.size =
+                if self.quick { [32, 32] } else { engine.shot.size.map(|side| side.div_ceil(2)) };
         }
     }
 
@@ -275,7 +272,7 @@ fn table(stage: u32, judged: &Judged, run: u64, still: bool) -> String {
             age.verdict().name(),
             trial::percent(age.image(), confidence),
             age.image().test.p,
-            worst.map_or(String::new(), |part| trial::place(part)),
+            worst.map_or(String::new(), trial::place),
             worst.map_or(String::new(), |part| trial::percent(part, confidence)),
             age.restarts.count(),
             age.restarts.luminance().skewness(),

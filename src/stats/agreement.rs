@@ -153,10 +153,8 @@ mod tests {
 
     /// A part of mean 1 that is `bias` off, with a standard error of `error`.
     fn part(bias: f64, error: f64) -> Part {
-        let test = welch(
-            &Estimate::with_variance(1.0 + bias, error * error, 1e6),
-            &Estimate::exact(1.0),
-        );
+        let test =
+            welch(&Estimate::with_variance(1.0 + bias, error * error, 1e6), &Estimate::exact(1.0));
         Part { place: Place::Image, quantity: Quantity::Luminance, test, scale: 1.0, delta: 0.005 }
     }
 
