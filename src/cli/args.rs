@@ -96,6 +96,31 @@ pub(super) fn parse_positive(text: &str) -> Result<f64, String> {
         .ok_or_else(|| format!("`{text}` must be a number above 0"))
 }
 
+/// Frames, rising. (A type of its own: an option of type `Vec` would be one that repeats.)
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Ages(pub Vec<u32>);
+
+/// Frames from 1, separated by commas.
+pub(super) fn parse_ages(text: &str) -> Result<Ages, String> {
+    let wrong = || format!("`{text}` must be frames from 1 to 100000, as in 1,5,20");
+    let mut ages = text
+        .split(',')
+        .map(|n| n.trim().parse::<u32>().ok().filter(|n| (1..=100_000).contains(n)))
+        .collect::<Option<Vec<u32>>>()
+        .ok_or_else(wrong)?;
+    ages.sort_unstable();
+    ages.dedup();
+    Ok(Ages(ages))
+}
+
+/// A share in percent.
+pub(super) fn parse_percent(text: &str) -> Result<f64, String> {
+    text.parse::<f64>()
+        .ok()
+        .filter(|v| *v > 0.0 && *v < 100.0)
+        .ok_or_else(|| format!("`{text}` must be a number of percent above 0 and below 100"))
+}
+
 /// Specifications separated by `;`. Commas separate parameters inside one, so they cannot part two.
 pub(super) fn split_specs(text: &str) -> Vec<String> {
     text.split(';').map(str::trim).filter(|s| !s.is_empty()).map(String::from).collect()
@@ -126,6 +151,17 @@ mod tests {
         assert!(parse_pixel("3").is_err() && parse_pixel("3,-1").is_err());
         for wrong in ["0", "-1", "nan", "inf", "x"] {
             assert!(parse_positive(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn ages_are_sorted_and_percents_are_percents() {
+        assert_eq!(parse_ages("20, 1,5,5").unwrap(), Ages(vec![1, 5, 20]));
+        for wrong in ["", "0", "1,,2", "1;2", "-1", "1000000"] {
+            assert!(parse_ages(wrong).unwrap_err().contains("1,5,20"), "{wrong}");
+        }
+        for wrong in ["0", "-1", "100", "nan", "x"] {
+            assert!(parse_percent(wrong).is_err(), "{wrong}");
         }
     }
 

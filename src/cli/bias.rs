@@ -11,25 +11,27 @@ pub(super) fn restarts(size: [u32; 2]) -> Result<Restarts> {
     Restarts::new(width, height, width.max(height).div_ceil(2), None)
 }
 
-/// Tests restarts against a reference. One read from a file has no known variance and counts as exact.
+/// A reference as tests want it. One read from a file has no known variance and counts as exact.
+pub(super) fn truth(reference: &Reference) -> Result<stats::Reference> {
+    let Some(variance) = reference.pixel_variances() else { return exact(reference) };
+    let [width, height] = reference.size().map(|side| side as usize);
+    let dof = (reference.frames() - 1) as f64;
+    stats::Reference::with_variance(width, height, reference.picture().pixels, variance, dof)
+}
+
+/// A reference's means as if they had no error.
+pub(super) fn exact(reference: &Reference) -> Result<stats::Reference> {
+    let [width, height] = reference.size().map(|side| side as usize);
+    stats::Reference::exact(width, height, reference.picture().pixels)
+}
+
+/// Tests restarts against a reference.
 pub(super) fn judge(
     restarts: &Restarts,
     reference: &Reference,
     criteria: &Criteria,
 ) -> Result<PictureTest> {
-    let [width, height] = reference.size().map(|side| side as usize);
-    let mean = reference.picture().pixels;
-    let truth = match reference.pixel_variances() {
-        Some(variance) => stats::Reference::with_variance(
-            width,
-            height,
-            mean,
-            variance,
-            (reference.frames() - 1) as f64,
-        )?,
-        None => stats::Reference::exact(width, height, mean)?,
-    };
-    restarts.compare(&truth, criteria)
+    restarts.compare(&truth(reference)?, criteria)
 }
 
 /// As `results.json` has it: the difference of mean luminance with its 95 % interval, relative to the reference.

@@ -28,8 +28,8 @@ use crate::metrics;
 use crate::path::Counters;
 use crate::picture::Picture;
 use crate::report::{
-    Budget, BudgetKind, Claim, Curve, CurvePoint, Figure, FrameTime, PassTime, Results, Row,
-    SCHEMA, summary,
+    Budget, BudgetKind, Claim, Curve, CurvePoint, ErrorSpectrum, Figure, FrameTime, PassTime,
+    Results, Row, SCHEMA, SpectrumPoint, Warmup, summary,
 };
 use crate::stats::{Criteria, Moments, Restarts};
 use crate::techniques::{REGISTRY, Technique};
@@ -45,7 +45,7 @@ const REFERENCE_SHARE: f64 = 0.01;
 /// Compare techniques on a scene, at equal frame time or equal effort
 ///
 /// Renders or reuses a reference, runs each technique over independent restarts, prints a table, and writes results.json, table.md,
-/// table.csv, curve.csv, `error_time.svg`, contact.png and EXR and PNG pictures to the output folder. References are cached.
+/// table.csv, curve.csv, `error_time.svg`, spectrum.csv, warmup.csv, warmup.svg, contact.png and EXR and PNG pictures to the output folder. References are cached.
 /// Ctrl-C writes the restarts that are done and stops; a second Ctrl-C stops at once.
 #[derive(Args, Debug)]
 #[command(after_help = "\
@@ -88,6 +88,9 @@ pub(super) struct CompareArgs {
     /// Restarts of each further point of the error-against-time curve; 0 leaves the curve out
     #[arg(long, value_name = "R", default_value_t = 4)]
     curve_restarts: u32,
+    /// Write the error of every frame for all techniques [default: for those that keep history, where the scene is still]
+    #[arg(long, conflicts_with = "accumulate")]
+    warmup: bool,
     #[command(flatten)]
     reference: ReferenceArgs,
     /// Folder for what is written [default: out/SCENE]
@@ -112,6 +115,10 @@ struct Contender {
     work_frames: u64,
     restarts: Restarts,
     metrics: Vec<(&'static str, Moments)>,
+    /// `relmse` of each frame, where that is asked for.
+    warmup: Vec<Moments>,
+    /// Power of the error in each ring.
+    rings: Vec<Moments>,
     /// For figures that need all restarts at once.
     pictures: Vec<Picture>,
     shown: Option<Picture>,
@@ -142,6 +149,11 @@ pub(super) fn run(args: &CompareArgs) -> Result<Status> {
         args.filter,
         reference::file_size(&args.reference)?,
     )?;
+    if args.warmup && engine.stage.facts().moves() {
+        return Err(Error::usage(
+            "--warmup needs a scene that does not move: its frames have no common reference",
+        ));
+    }
     if args.accumulate && engine.stage.facts().moves() {
         return Err(Error::usage(
             "--accumulate needs a scene that does not move: the mean over its frames has no reference",
@@ -166,6 +178,8 @@ pub(super) fn run(args: &CompareArgs) -> Result<Status> {
             work_frames: 0,
             restarts: bias::restarts(engine.shot.size)?,
             metrics: Vec::new(),
+            warmup: Vec::new(),
+            rings: vec![Moments::new(); figures::RINGS],
             pictures: Vec::new(),
             shown: None,
             emission: None,
@@ -181,6 +195,12 @@ pub(super) fn run(args: &CompareArgs) -> Result<Status> {
 
     let mut interrupted = false;
     let guides = Guides::new(frozen.stage.first_world(), None, engine.shot.size);
+    let warms = !args.accumulate && !engine.stage.facts().moves();
+    for contender in &mut contenders {
+        if warms && (args.warmup || keeps_history(contender.frames.plan())) {
+            contender.warmup = vec![Moments::new(); args.frames as usize];
+        }
+    }
     match restarts(&mut contenders, judged, args, &truth, &guides) {
         Ok(()) => {}
         Err(error)
@@ -225,6 +245,15 @@ pub(super) fn run(args: &CompareArgs) -> Result<Status> {
         interrupted,
         rows,
         curves,
+        warmups: contenders
+            .iter()
+            .filter(|c| !c.warmup.is_empty())
+            .map(|c| Warmup {
+                technique: c.spec.clone(),
+                relmse: c.warmup.iter().map(figures::over_restarts).collect(),
+            })
+            .collect(),
+        spectra: contenders.iter().map(spectrum).collect(),
     };
     let folder =
         args.out.clone().unwrap_or_else(|| PathBuf::from("out").join(file_name(&engine.name)));
@@ -373,10 +402,18 @@ fn restarts(
                 work,
                 work_frames,
                 emission,
+                warmup,
                 ..
             } = &mut *contender;
             frames.restart(seed(args.picture.seed, Part::Restart, *number, index));
+            let mut shown = Ok(());
             let picture = judged_picture(frames, judged, |at, frame| {
+                if let Some(moments) = warmup.get_mut(at as usize) {
+                    match figures::relmse(&frame.picture(), truth) {
+                        Ok(relmse) => moments.push(relmse),
+                        Err(error) => shown = Err(error),
+                    }
+                }
                 let ms = frame.milliseconds();
                 let times = if at == 0 { &mut *first } else { &mut *steady };
                 times.push(ms);
@@ -395,7 +432,12 @@ fn restarts(
                     *emission = Some(frame.emission());
                 }
             })?;
+            shown?;
             contender.restarts.push(&picture.pixels)?;
+            for (ring, power) in contender.rings.iter_mut().zip(figures::spectrum(&picture, truth)?)
+            {
+                ring.push(power);
+            }
             for (name, value) in figures::of_picture(&picture, truth, Some(&guides))? {
                 match contender.metrics.iter_mut().find(|(known, _)| *known == name) {
                     Some((_, moments)) => moments.push(value),
@@ -556,6 +598,19 @@ fn row(
         )?)),
         non_finite: contender.work.non_finite,
     })
+}
+
+fn spectrum(contender: &Contender) -> ErrorSpectrum {
+    let points = (1..)
+        .zip(&contender.rings)
+        .map(|(ring, power)| SpectrumPoint {
+            cycles: 0.5 * f64::from(ring) / figures::RINGS as f64,
+            power: figures::over_restarts(power),
+        })
+        // Small pictures leave rings empty.
+        .filter(|point| point.power.mean.is_finite())
+        .collect();
+    ErrorSpectrum { technique: contender.spec.clone(), points }
 }
 
 /// The plan's claim in the form of `results.json`.

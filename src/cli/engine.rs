@@ -74,18 +74,21 @@ impl Engine {
 
     /// The same settings on the scene as it stands in frame `index`, without motion.
     pub(super) fn frozen(&self, index: u32) -> Result<Self> {
-        if !self.stage.facts().moves() {
-            return Ok(Self {
-                scene: self.scene.clone(),
-                name: self.name.clone(),
-                stage: self.stage.clone(),
-                shot: self.shot,
-            });
-        }
         let scene = self.stage.scene();
+        if !self.stage.facts().moves() {
+            return Ok(self.with_stage(self.stage.clone()));
+        }
         let time = scene.time[0] + index as f32 / self.shot.fps as f32;
-        let stage = Stage::new(scene.at(time))?;
-        Ok(Self { scene: self.scene.clone(), name: self.name.clone(), stage, shot: self.shot })
+        self.with_scene(scene.at(time))
+    }
+
+    /// The same settings on another scene.
+    pub(super) fn with_scene(&self, scene: scene::Scene) -> Result<Self> {
+        Ok(self.with_stage(Stage::new(scene)?))
+    }
+
+    fn with_stage(&self, stage: Stage) -> Self {
+        Self { scene: self.scene.clone(), name: self.name.clone(), stage, shot: self.shot }
     }
 
     /// What a technique will run here.

@@ -42,6 +42,14 @@ pub(super) fn relmse(picture: &Picture, truth: &Picture) -> Result<f64> {
     Ok(Comparison::new(picture, truth, None)?.relmse())
 }
 
+/// Rings of the error's spectrum, in equal steps up to half a cycle a pixel.
+pub(super) const RINGS: usize = 32;
+
+/// Power of the error in [`RINGS`] rings; NaN where a ring is empty.
+pub(super) fn spectrum(picture: &Picture, truth: &Picture) -> Result<Vec<f64>> {
+    Ok(Comparison::new(picture, truth, None)?.spectrum(None)?.radial(RINGS))
+}
+
 /// Restarts that [`covariance`] needs.
 pub(super) const COVARIANCE_NEEDS: u32 = COVARIANCE_RESTARTS as u32;
 

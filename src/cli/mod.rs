@@ -16,13 +16,17 @@ mod fingerprint;
 mod generate;
 mod inspect;
 mod interrupt;
+mod ladder;
+mod lag;
 mod list;
 mod machine;
+mod motion;
 mod plan;
 mod progress;
 mod reference;
 mod render;
 mod seeds;
+mod trial;
 mod verify;
 
 use std::io::Write as _;
@@ -42,6 +46,10 @@ Examples:
         one picture, with glass.png beside it
   afterimage verify nee scenes/penumbra.pbrt --check
         is it unbiased? exit status 1 if not
+  afterimage verify nee --ladder --quick
+        rung by rung: still, moving camera, light, occluder
+  afterimage lag scenes/penumbra.pbrt --technique nee
+        how many frames does a sudden change take to show?
   afterimage plan scenes/cornell.pbrt --technique nee
         what runs, what is skipped, and why
 
@@ -65,6 +73,7 @@ enum Command {
     Compare(compare::CompareArgs),
     Render(render::RenderArgs),
     Verify(verify::VerifyArgs),
+    Lag(lag::LagArgs),
 
     Inspect(inspect::InspectArgs),
     Plan(plan::PlanArgs),
@@ -96,6 +105,7 @@ pub fn run() -> ExitCode {
         Command::Compare(args) => compare::run(args),
         Command::Render(args) => render::run(args),
         Command::Verify(args) => verify::run(args),
+        Command::Lag(args) => lag::run(args),
 
         Command::Inspect(args) => inspect::run(args),
         Command::Plan(args) => plan::run(args),
@@ -159,7 +169,7 @@ fn print(text: &str) -> Result<()> {
 
 /// A line on standard error that is no error.
 fn note(text: &str) {
-    eprintln!("{text}");
+    progress::aside(|| eprintln!("{text}"));
 }
 
 #[cfg(test)]

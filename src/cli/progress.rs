@@ -1,8 +1,17 @@
 //! Progress bars with the time left, on standard error; hidden where it is no terminal.
 
+use std::sync::LazyLock;
 use std::time::Duration;
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
+
+/// Bars of a run, one below the other: a ladder has one, and each of its rungs others.
+static BARS: LazyLock<MultiProgress> = LazyLock::new(MultiProgress::new);
+
+/// Does what writes to standard error while no bar is drawn.
+pub(super) fn aside(write: impl FnOnce()) {
+    BARS.suspend(write);
+}
 
 /// A bar of `steps` steps that vanishes when dropped.
 pub(super) struct Progress {
@@ -11,7 +20,7 @@ pub(super) struct Progress {
 
 impl Progress {
     pub(super) fn new(what: &'static str, steps: u64) -> Self {
-        let bar = ProgressBar::new(steps);
+        let bar = BARS.add(ProgressBar::new(steps));
         let template = "{prefix:>12} [{bar:32}] {pos}/{len} {msg} ({eta} left)";
         // The template is a constant; were it wrong, the plain bar would do.
         let style =
@@ -42,5 +51,6 @@ impl Progress {
 impl Drop for Progress {
     fn drop(&mut self) {
         self.bar.finish_and_clear();
+        BARS.remove(&self.bar);
     }
 }

@@ -1,24 +1,22 @@
 //! `verify`: is a technique's mean right, at every age of its history?
 //!
-//! The sample is a whole restart; pictures of one restart are never taken for independent. For every frame age on the ladder, image and
-//! tiles are compared with a reference made by another technique ([`bias`]). Two stages: where the first is not a pass, fresh
-//! seeds and four times as many restarts decide. The first stage fails at α₁ = 10⁻², the second at α₂ = 10⁻² after a fail and at
-//! 10⁻⁴ after an inconclusive first stage, so that an unbiased technique fails with probability 10⁻⁴ a scene (shared by the ages).
+//! The sample is a whole restart; pictures of one restart are never taken for independent. At every age the image and its four
+//! tiles, in luminance and each channel, are compared with a reference made by another technique: [`super::trial`]. With `--ladder`
+//! a table of rungs is verified, from one without any reuse to all of it on moving scenes: [`super::ladder`].
 
 use std::fmt::Write as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use clap::Args;
 
-use super::args::{FilterArg, PictureArgs, ReferenceArgs};
+use super::args::{Ages, FilterArg, PictureArgs, ReferenceArgs, parse_ages, parse_percent};
 use super::engine::{self, Engine, keeps_history};
-use super::progress::Progress;
 use super::reference::{self, Made};
-use super::seeds::{Part, seed};
-use super::{Status, bias, print};
+use super::trial::{self, Judged, References, Settings};
+use super::{Status, ladder, print};
 use crate::plan::Claim;
-use crate::stats::{Criteria, PictureTest, Restarts, Verdict, welch};
+use crate::stats::{Verdict, welch};
 use crate::techniques::Technique;
 use crate::{Error, Result};
 
@@ -30,65 +28,143 @@ const SCENES: [&str; 4] = [
     "scenes/many_lights.pbrt",
 ];
 /// Frame ages at which a technique with history is tested.
-const AGES: [u32; 8] = [1, 2, 3, 5, 10, 20, 50, 100];
-/// Level of the first stage, and of the second after a fail.
-const STAGE_ALPHA: f64 = 1e-2;
-/// Level of both together.
-const ALPHA: f64 = 1e-4;
+const AGES: [u32; 5] = [1, 2, 5, 20, 50];
+/// The same with `--quick`.
+const QUICK_AGES: [u32; 3] = [1, 5, 20];
 
 /// Test whether a technique is unbiased: restarts against a reference of another technique
 ///
 /// Prints, for every scene and frame age, the verdict (pass, fail, inconclusive), the relative bias with its interval, the number of
-/// restarts, their skewness and the seeds. `pass` means: the bias is below 0.5 % with 99 % confidence and no tile differs.
+/// restarts, their skewness and the seeds. `pass` means: with 99.9 % confidence the bias of the image is below DELTA and that of
+/// each of its four tiles below 2 DELTA, in luminance and every channel, at every age. `fail` means: a difference is certain (10^-4)
+/// and above half of that. `inconclusive`: neither is shown.
 #[derive(Args, Debug)]
 #[command(after_help = "\
 Examples:
   afterimage verify nee scenes/penumbra.pbrt --check
         exit status 1 if it is found biased
   afterimage verify nee --quick
-        a minute instead of many, on scenes/cornell.pbrt")]
+        a minute instead of many, on scenes/cornell.pbrt: finds 1 %, not 0.5 %
+  afterimage verify nee scenes/moving.pbrt --ages 1,10,31 --delta 1
+        the frames that are judged, and how far they may be off
+  afterimage verify restir-di --ladder --out ladder.md
+        rung by rung: no reuse, over space, over time, moving camera, light, occluder, mutations, visibility
+  afterimage verify restir-di:candidates=8 --ladder --quick --rungs moving --check
+        some rungs, coarsely")]
 pub(super) struct VerifyArgs {
     /// A technique's specification; see `afterimage list techniques`
     #[arg(value_name = "SPEC")]
-    technique: String,
+    pub technique: String,
     /// pbrt or glTF files, or generators [default: some of ./scenes]
     #[arg(value_name = "SCENE")]
-    scenes: Vec<String>,
-    /// Fewer restarts and ages, on one scene: finds large errors only
+    pub scenes: Vec<String>,
+    /// DELTA 1 %, 32x32 pixels, fewer ages, one scene: finds large errors only
     #[arg(long)]
-    quick: bool,
+    pub quick: bool,
+    /// Verify SPEC as far as its parts go: a table of rungs, each with parameters and motion of its own; depth 2 unless given
+    #[arg(long)]
+    pub ladder: bool,
+    /// Only rungs whose name contains this
+    #[arg(long, value_name = "TEXT", requires = "ladder")]
+    pub rungs: Option<String>,
+    /// Minutes that the ladder may take; rungs get as many restarts as fit [default: no limit, with --quick 7]
+    #[arg(long, value_name = "M", requires = "ladder", value_parser = super::args::parse_positive)]
+    pub minutes: Option<f64>,
+    /// Write the ladder's table as Markdown, too
+    #[arg(long, value_name = "FILE.md", requires = "ladder")]
+    pub out: Option<PathBuf>,
+    /// Bias of the image that passes, in percent; tiles may have twice as much [default: 0.5, with --quick 1]
+    #[arg(long, value_name = "PERCENT", value_parser = parse_percent)]
+    pub delta: Option<f64>,
+    /// Frames after the cold start that are judged [default: 1,2,5,20,50, with --quick 1,5,20; 1 where all frames are alike]
+    #[arg(long, value_name = "N,N", value_parser = parse_ages)]
+    pub ages: Option<Ages>,
     #[command(flatten)]
-    picture: PictureArgs,
+    pub picture: PictureArgs,
     /// Positions of primary rays
     #[arg(long, value_enum, default_value_t = FilterArg::Point)]
-    filter: FilterArg,
-    /// Restarts of the first stage [default: 256, with --quick 64]
+    pub filter: FilterArg,
+    /// Restarts of the first stage [default: as many as a pilot asks for, 24 to 1024, in 20 minutes or, with --quick, one]
     #[arg(long, value_name = "R", value_parser = clap::value_parser!(u32).range(2..=1_000_000))]
-    restarts: Option<u32>,
+    pub restarts: Option<u32>,
     /// Complete independent estimates a pixel and frame
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1_048_576))]
-    spp: u32,
+    pub spp: u32,
     /// What makes the reference [default: nee; bsdf for nee itself]
     #[arg(long, value_name = "SPEC")]
-    against: Option<String>,
+    pub against: Option<String>,
     #[command(flatten)]
-    reference: ReferenceArgs,
+    pub reference: ReferenceArgs,
     /// Exit with status 1 if a technique that claims to be unbiased fails
     #[arg(long)]
-    check: bool,
+    pub check: bool,
 }
 
-/// One frame age.
-struct Age {
-    /// Frames since the cold start.
-    frames: u32,
-    restarts: Restarts,
+impl VerifyArgs {
+    /// δ as a share.
+    pub(super) fn delta(&self) -> f64 {
+        0.01 * self.delta.unwrap_or(if self.quick { 1.0 } else { 0.5 })
+    }
+
+    /// The technique of references.
+    pub(super) fn against(&self, technique: &dyn Technique) -> Result<String> {
+        let against =
+            self.against.clone().unwrap_or_else(|| other_than(&technique.spec()).to_string());
+        engine::technique(&against)?;
+        Ok(against)
+    }
+
+    /// Small pictures and many restarts: the tiles' means are as certain, and the restarts' law is better known.
+    pub(super) fn shrink(&self, engine: &mut Engine) {
+        if self.picture.size.is_none() && self.reference.reference.is_none() {
+            engine.shot.size =
+                if self.quick { [32, 32] } else { engine.shot.size.map(|side| side.div_ceil(2)) };
+        }
+    }
+
+    /// Frames that are judged. Without history and motion all frames are alike.
+    pub(super) fn ages(&self, engine: &Engine, technique: &dyn Technique) -> Vec<u32> {
+        if let Some(Ages(ages)) = &self.ages {
+            return ages.clone();
+        }
+        let alike = !keeps_history(&engine.plan(technique)) && !engine.stage.facts().moves();
+        match (alike, self.quick) {
+            (true, _) => vec![1],
+            (false, true) => QUICK_AGES.to_vec(),
+            (false, false) => AGES.to_vec(),
+        }
+    }
+
+    /// The last frame that any rung judges.
+    pub(super) fn longest_age(&self) -> u32 {
+        let defaults: &[u32] = if self.quick { &QUICK_AGES } else { &AGES };
+        let ages = self.ages.as_ref().map_or(defaults, |Ages(ages)| ages);
+        ages.last().copied().unwrap_or(1)
+    }
+
+    pub(super) fn settings<'a>(&'a self, ages: &'a [u32], against: &'a str) -> Settings<'a> {
+        Settings {
+            ages,
+            effort: self.spp,
+            delta: self.delta(),
+            restarts: self.restarts,
+            most: 1024,
+            seconds: if self.quick { 60.0 } else { 1200.0 },
+            confirm: true,
+            run: self.picture.seed,
+            number: 0,
+            against,
+            reference: &self.reference,
+        }
+    }
 }
 
 pub(super) fn run(args: &VerifyArgs) -> Result<Status> {
+    if args.ladder {
+        return ladder::run(args);
+    }
     let technique = engine::technique(&args.technique)?;
-    let against = args.against.clone().unwrap_or_else(|| other_than(&technique.spec()).to_string());
-    engine::technique(&against)?;
+    let against = args.against(&*technique)?;
     let mut failed = false;
     for scene in scenes(args)? {
         failed |= verify(args, &scene, &technique, &against)?;
@@ -105,16 +181,17 @@ fn scenes(args: &VerifyArgs) -> Result<Vec<String>> {
     if !args.scenes.is_empty() {
         return Ok(args.scenes.clone());
     }
-    let count = if args.quick { 1 } else { SCENES.len() };
-    let found: Vec<String> = SCENES[..count]
-        .iter()
-        .filter(|s| Path::new(s).exists())
-        .map(|s| (*s).to_string())
-        .collect();
+    existing(&SCENES[..if args.quick { 1 } else { SCENES.len() }])
+}
+
+/// Those of the repository's scenes that are here.
+pub(super) fn existing(scenes: &[&str]) -> Result<Vec<String>> {
+    let found: Vec<String> =
+        scenes.iter().filter(|s| Path::new(s).exists()).map(|s| (*s).to_string()).collect();
     if found.is_empty() {
         let message = format!(
             "no scene is given, and there is no {} here: name a scene file or a generator such as many-lights:100",
-            SCENES[0]
+            scenes[0]
         );
         return Err(Error::usage(message));
     }
@@ -130,105 +207,29 @@ fn verify(
 ) -> Result<bool> {
     let size = reference::file_size(&args.reference)?;
     let mut engine = Engine::open(scene, &args.picture, args.filter, size)?;
-    if args.picture.size.is_none() && size.is_none() {
-        // Small pictures and many restarts: the tiles' means are as certain, and the restarts' law is better known.
-        engine.shot.size =
-            engine.shot.size.map(|side| side.div_ceil(if args.quick { 4 } else { 2 }));
-    }
+    args.shrink(&mut engine);
+    let ages = args.ages(&engine, &**technique);
     let plan = engine.plan(&**technique);
-    let moving = engine.stage.facts().moves();
-    let ages: Vec<u32> = match (keeps_history(&plan) || moving, args.quick) {
-        (false, _) => vec![1],
-        (true, true) => vec![1, 5, 20],
-        (true, false) => AGES.to_vec(),
-    };
-    let count = args.restarts.unwrap_or(if args.quick { 64 } else { 256 });
     print(&format!(
         "{} on {scene} at {}x{}, depth {}: claims to be {}\n",
         plan.technique, engine.shot.size[0], engine.shot.size[1], engine.shot.depth, plan.claim
     ))?;
-
-    let first = stage(&engine, technique, &ages, count, args, Part::Restart)?;
-    let pixels = engine.shot.pixels();
-    let variance = first
-        .iter()
-        .map(|a| bias::mean_variance(&a.restarts, pixels))
-        .fold(f64::INFINITY, f64::min);
-    // The second stage has four times as many restarts; the reference shall be as good again.
-    let target = variance / (16.0 * f64::from(count));
-    let mut references = Vec::new();
-    for &age in if moving { &ages[..] } else { &ages[..1] } {
-        references.push(reference::obtain(
-            &engine.frozen(age - 1)?,
-            &args.reference,
-            against,
-            target,
-        )?);
-    }
-    print(&describe(&references[0], against))?;
-
-    let one = judge(&first, &references, STAGE_ALPHA)?;
-    let mut verdict = one.iter().map(|t| t.verdict).fold(Verdict::Pass, Verdict::and);
-    print(&table("stage 1", &first, &one, args.picture.seed))?;
-    if verdict != Verdict::Pass {
-        let second = stage(&engine, technique, &ages, 4 * count, args, Part::SecondStage)?;
-        let alpha = if verdict == Verdict::Fail { ALPHA / STAGE_ALPHA } else { ALPHA };
-        let two = judge(&second, &references, alpha)?;
-        print(&table("stage 2", &second, &two, args.picture.seed))?;
-        verdict = two.iter().map(|t| t.verdict).fold(Verdict::Pass, Verdict::and);
-    }
+    let mut stage = 0;
+    let outcome = trial::run(
+        &engine,
+        technique,
+        &args.settings(&ages, against),
+        &mut References::default(),
+        |judged, references| {
+            stage += 1;
+            let head = if stage == 1 { describe(&references[0], against) } else { String::new() };
+            let still = !engine.stage.facts().moves();
+            print(&(head + &table(stage, judged, args.picture.seed, still)))
+        },
+    )?;
+    let verdict = outcome.last().verdict;
     print(&format!("verdict    {verdict}\n\n"))?;
     Ok(verdict == Verdict::Fail && plan.claim == Claim::Unbiased)
-}
-
-/// Independent restarts, looked at at every age.
-fn stage(
-    engine: &Engine,
-    technique: &Arc<dyn Technique>,
-    ages: &[u32],
-    count: u32,
-    args: &VerifyArgs,
-    part: Part,
-) -> Result<Vec<Age>> {
-    let mut found = Vec::new();
-    for &frames in ages {
-        found.push(Age { frames, restarts: bias::restarts(engine.shot.size)? });
-    }
-    let progress = Progress::new("restarts", u64::from(count));
-    let mut frames = engine.start(technique, args.spp, 0)?;
-    for index in 0..count {
-        frames.restart(seed(args.picture.seed, part, 0, index));
-        let mut done = 0;
-        for age in &mut found {
-            while done + 1 < age.frames {
-                engine::next(&mut frames)?;
-                done += 1;
-            }
-            let frame = engine::next(&mut frames)?;
-            done += 1;
-            age.restarts.push(&frame.picture().pixels)?;
-        }
-        progress.step();
-    }
-    Ok(found)
-}
-
-/// Every age against its reference; `alpha` is shared among them.
-fn judge(ages: &[Age], references: &[Made], alpha: f64) -> Result<Vec<PictureTest>> {
-    let share = alpha / (2.0 * ages.len() as f64);
-    // Four quantities (luminance, red, green, blue) at the image scale; Holm takes care of the tiles'.
-    let criteria =
-        Criteria { difference_alpha: share / 4.0, tile_alpha: share, ..Criteria::default() };
-    ages.iter()
-        .enumerate()
-        .map(|(at, age)| {
-            bias::judge(
-                &age.restarts,
-                &references[at.min(references.len() - 1)].reference,
-                &criteria,
-            )
-        })
-        .collect()
 }
 
 fn describe(made: &Made, against: &str) -> String {
@@ -248,42 +249,59 @@ fn describe(made: &Made, against: &str) -> String {
     }
 }
 
-fn table(name: &str, ages: &[Age], tests: &[PictureTest], run: u64) -> String {
+fn table(stage: u32, judged: &Judged, run: u64, still: bool) -> String {
+    let confidence = judged.confidence();
     let mut text = format!(
-        "{name}    {:>5} {:>13} {:>9} {:>20} {:>8} {:>6} {:>9} {:>6}\n",
-        "frame", "verdict", "bias %", "98 % interval", "p", "n", "skewness", "tiles"
+        "stage {stage}    {:>5} {:>13} {:>24} {:>8} {:>24} {:>24} {:>6} {:>9} {:>6}\n",
+        "frame",
+        "verdict",
+        format!("bias % [{:.1} %]", 100.0 * confidence),
+        "p",
+        "worst tile",
+        "its bias %",
+        "n",
+        "skewness",
+        "tiles"
     );
-    for (age, test) in ages.iter().zip(tests) {
-        let (low, high) = test.relative_interval();
-        let interval = format!("[{:+.3}, {:+.3}]", 100.0 * low, 100.0 * high);
+    for age in &judged.ages {
+        let worst = judged_tile(age, confidence);
         let _ = writeln!(
             text,
-            "           {:>5} {:>13} {:>+9.3} {interval:>20} {:>8.1e} {:>6} {:>9.2} {:>6}",
+            "           {:>5} {:>13} {:>24} {:>8.1e} {:>24} {:>24} {:>6} {:>9.2} {:>6}",
             age.frames,
-            test.verdict.name(),
-            100.0 * test.relative(),
-            test.luminance.test.p,
-            test.restarts,
+            age.verdict().name(),
+            trial::percent(age.image(), confidence),
+            age.image().test.p,
+            worst.map_or(String::new(), trial::place),
+            worst.map_or(String::new(), |part| trial::percent(part, confidence)),
+            age.restarts.count(),
             age.restarts.luminance().skewness(),
-            test.tiles_rejected
+            age.tiles_failed()
         );
     }
-    if let Some(slope) = slope(ages) {
+    if let Some(slope) = slope(judged).filter(|_| still) {
         let _ = writeln!(text, "           first against last age: p = {slope:.1e}");
     }
     let _ = writeln!(
         text,
         "           seeds: restarts 0 to {} of --seed {run}",
-        ages[0].restarts.count().saturating_sub(1)
+        judged.ages[0].restarts.count().saturating_sub(1)
     );
     text
 }
 
-/// p of equal mean luminance at the first and the last age (meaningful in a still scene); `None` for a single age.
+fn judged_tile(age: &trial::Age, confidence: f64) -> Option<&crate::stats::Part> {
+    age.parts
+        .iter()
+        .filter(|part| part.place != crate::stats::Place::Image)
+        .max_by(|a, b| a.reach(confidence).total_cmp(&b.reach(confidence)))
+}
+
+/// p of equal mean luminance at the first and the last age of a still scene; `None` for a single age.
 ///
 /// Ages of one restart are positively correlated, so treating them as independent overstates the difference's error: conservative.
-fn slope(ages: &[Age]) -> Option<f64> {
-    let (first, last) = (ages.first()?, ages.last()?);
+fn slope(judged: &Judged) -> Option<f64> {
+    let (first, last) = (judged.ages.first()?, judged.ages.last()?);
     if first.frames == last.frames {
         return None;
     }
@@ -302,8 +320,9 @@ mod tests {
     }
 
     #[test]
-    fn the_ladder_begins_at_a_cold_start_and_rises() {
-        assert_eq!(AGES[0], 1);
-        assert!(AGES.is_sorted());
+    fn ages_begin_at_a_cold_start_and_rise() {
+        for ages in [&AGES[..], &QUICK_AGES[..]] {
+            assert!(ages[0] == 1 && ages.is_sorted());
+        }
     }
 }

@@ -2,7 +2,7 @@
 
 use plotters::prelude::*;
 
-use super::Curve;
+use super::{Curve, CurvePoint, Warmup};
 use crate::{Error, Result};
 
 /// Colours that people with any colour vision tell apart (Okabe and Ito 2008).
@@ -22,6 +22,30 @@ const COLORS: [RGBColor; 7] = [
 /// # Errors
 /// Where the drawing library refuses.
 pub fn error_time_svg(title: &str, curves: &[Curve]) -> Result<Option<String>> {
+    plot(title, "milliseconds a frame", curves)
+}
+
+/// The root of relMSE of every frame after a cold start, drawn as [`error_time_svg`]; the guide is what a mean of independent frames
+/// gives.
+///
+/// # Errors
+/// Where the drawing library refuses.
+pub fn warmup_svg(title: &str, warmups: &[Warmup]) -> Result<Option<String>> {
+    let curves: Vec<Curve> = warmups
+        .iter()
+        .map(|warmup| Curve {
+            technique: warmup.technique.clone(),
+            points: (1..)
+                .zip(&warmup.relmse)
+                .map(|(frame, &relmse)| CurvePoint { effort: 1, ms: f64::from(frame), relmse })
+                .collect(),
+        })
+        .collect();
+    plot(title, "frames since the cold start", &curves)
+}
+
+/// Root relMSE against anything.
+fn plot(title: &str, across: &str, curves: &[Curve]) -> Result<Option<String>> {
     let lines: Vec<(&str, Vec<Point>)> = curves
         .iter()
         .map(|c| (c.technique.as_str(), points(c)))
@@ -38,8 +62,8 @@ pub fn error_time_svg(title: &str, curves: &[Curve]) -> Result<Option<String>> {
     let (bottom, top) = (bottom / 1.25, top * 1.25);
 
     let mut text = String::new();
-    draw(&mut text, title, &lines, [left, right, bottom, top])
-        .map_err(|e| Error::invalid(format!("cannot draw the error-against-time plot: {e}")))?;
+    draw(&mut text, [title, across], &lines, [left, right, bottom, top])
+        .map_err(|e| Error::invalid(format!("cannot draw the plot of errors: {e}")))?;
     Ok(Some(text))
 }
 
@@ -74,7 +98,12 @@ fn points(curve: &Curve) -> Vec<Point> {
 
 type Drawn = std::result::Result<(), Box<dyn std::error::Error>>;
 
-fn draw(text: &mut String, title: &str, lines: &[(&str, Vec<Point>)], range: [f64; 4]) -> Drawn {
+fn draw(
+    text: &mut String,
+    [title, across]: [&str; 2],
+    lines: &[(&str, Vec<Point>)],
+    range: [f64; 4],
+) -> Drawn {
     let [left, right, bottom, top] = range;
     let root = SVGBackend::with_string(text, (720, 540)).into_drawing_area();
     root.fill(&WHITE)?;
@@ -86,7 +115,7 @@ fn draw(text: &mut String, title: &str, lines: &[(&str, Vec<Point>)], range: [f6
         .build_cartesian_2d((left..right).log_scale(), (bottom..top).log_scale())?;
     chart
         .configure_mesh()
-        .x_desc("milliseconds a frame")
+        .x_desc(across)
         .y_desc("root relMSE")
         .x_label_formatter(&|v| super::figure(*v))
         .y_label_formatter(&|v| super::figure(*v))
@@ -139,7 +168,7 @@ fn draw(text: &mut String, title: &str, lines: &[(&str, Vec<Point>)], range: [f6
 
 #[cfg(test)]
 mod tests {
-    use super::super::{CurvePoint, Figure};
+    use super::super::Figure;
     use super::*;
 
     fn curve(name: &str, values: &[(f64, f64)]) -> Curve {
@@ -165,6 +194,16 @@ mod tests {
             assert!(svg.contains(part), "{part}");
         }
         assert!(!svg.contains("NaN"));
+    }
+
+    #[test]
+    fn warmup_is_drawn_against_frames() {
+        let figure = |mean: f64| Figure { mean, ci: None };
+        let relmse = (1..=8).map(|n| figure(1.0 / f64::from(n))).collect();
+        let warmups = [Warmup { technique: "mcmm".into(), relmse }];
+        let svg = warmup_svg("cornell", &warmups).unwrap().unwrap();
+        assert!(svg.contains("frames since") && svg.contains("mcmm") && !svg.contains("NaN"));
+        assert!(warmup_svg("x", &[]).unwrap().is_none());
     }
 
     #[test]

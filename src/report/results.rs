@@ -55,6 +55,12 @@ pub struct Results {
     /// Error against time, one a technique.
     #[serde(default)]
     pub curves: Vec<Curve>,
+    /// Error of each frame after a cold start, of techniques that keep history.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub warmups: Vec<Warmup>,
+    /// Power of the error by frequency, one a technique.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub spectra: Vec<ErrorSpectrum>,
 }
 
 /// Where the reference came from, and how good it is.
@@ -219,6 +225,33 @@ pub struct CurvePoint {
     pub relmse: Figure,
 }
 
+/// How a technique's frames become better with its history.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Warmup {
+    /// Its specification.
+    pub technique: String,
+    /// `relmse` of the displayed frame; the first is the cold start.
+    pub relmse: Vec<Figure>,
+}
+
+/// The radial power spectrum of a technique's error.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct ErrorSpectrum {
+    /// Its specification.
+    pub technique: String,
+    /// By rising frequency.
+    pub points: Vec<SpectrumPoint>,
+}
+
+/// A ring of frequencies.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub struct SpectrumPoint {
+    /// Upper end of the ring in cycles a pixel.
+    pub cycles: f64,
+    /// Mean power in it; white noise of any variance has 1.
+    pub power: Figure,
+}
+
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
@@ -264,6 +297,8 @@ pub(crate) mod tests {
             interrupted: false,
             rows,
             curves: Vec::new(),
+            warmups: Vec::new(),
+            spectra: Vec::new(),
         }
     }
 
@@ -292,6 +327,8 @@ pub(crate) mod tests {
         assert_eq!(json["rows"][1]["bias"]["verdict"], "pass");
         assert_eq!(first["metrics"]["relmse"]["mean"], 0.5);
         assert_eq!(first["budget"]["kind"], "spp");
+        // What older files lack is optional.
+        assert!(json.get("warmups").is_none() && json.get("spectra").is_none());
         let _: Results = serde_json::from_value(json).unwrap();
     }
 

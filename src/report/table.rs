@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::{Figure, METRICS, Results, Row};
+use super::{Figure, METRICS, Results, Row, SpectrumPoint};
 
 /// A Markdown table, a row a technique, with the settings above it. A figure is bold only where it is the lowest and its 95 %
 /// interval meets no other row's.
@@ -134,7 +134,7 @@ fn notes(results: &Results) -> Vec<String> {
 }
 
 /// Pads the columns so that the table can be read as text.
-fn align(header: &[String], body: &[Vec<String>]) -> String {
+pub(crate) fn align(header: &[String], body: &[Vec<String>]) -> String {
     let width = |column: usize| {
         body.iter()
             .map(|row| &row[column])
@@ -281,6 +281,32 @@ pub fn curve_csv(results: &Results) -> String {
     text
 }
 
+/// The error of every frame after a cold start.
+#[must_use]
+pub fn warmup_csv(results: &Results) -> String {
+    let mut text = String::from("technique,frame,relmse,relmse_low,relmse_high\n");
+    for warmup in &results.warmups {
+        for (at, relmse) in warmup.relmse.iter().enumerate() {
+            let technique = quoted(&warmup.technique);
+            let _ = writeln!(text, "{technique},{},{}{}", at + 1, relmse.mean, ends(relmse.ci));
+        }
+    }
+    text
+}
+
+/// The power of the error by frequency.
+#[must_use]
+pub fn spectrum_csv(results: &Results) -> String {
+    let mut text = String::from("technique,cycles_per_pixel,power,power_low,power_high\n");
+    for spectrum in &results.spectra {
+        for SpectrumPoint { cycles, power } in &spectrum.points {
+            let technique = quoted(&spectrum.technique);
+            let _ = writeln!(text, "{technique},{cycles},{}{}", power.mean, ends(power.ci));
+        }
+    }
+    text
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::results::tests::{results, row};
@@ -324,6 +350,23 @@ mod tests {
         let counts: Vec<usize> = text.lines().map(|l| l.split(',').count()).collect();
         assert_eq!(counts, [counts[0]; 3], "{text}");
         assert!(quoted("a:x=1,y=2").starts_with('"'));
+    }
+
+    #[test]
+    fn warmup_and_spectrum_have_a_line_a_figure() {
+        let figure = |mean: f64| Figure { mean, ci: Some([0.5 * mean, 2.0 * mean]) };
+        let mut all = results(vec![row("a:x=1,y=2", 0.1, 0.01)]);
+        all.warmups = vec![super::super::Warmup {
+            technique: "a:x=1,y=2".into(),
+            relmse: vec![figure(4.0), Figure { mean: 1.0, ci: None }],
+        }];
+        all.spectra = vec![super::super::ErrorSpectrum {
+            technique: "b".into(),
+            points: vec![SpectrumPoint { cycles: 0.25, power: figure(1.5) }],
+        }];
+        let lines: Vec<String> = warmup_csv(&all).lines().map(String::from).collect();
+        assert_eq!(lines[1..], ["\"a:x=1,y=2\",1,4,2,8", "\"a:x=1,y=2\",2,1,,"]);
+        assert_eq!(spectrum_csv(&all).lines().nth(1), Some("b,0.25,1.5,0.75,3"));
     }
 
     #[test]

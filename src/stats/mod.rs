@@ -7,11 +7,13 @@
 //! | many tests at once? | [`holm`], [`sidak`], [`benjamini_hochberg`], [`two_stage`] |
 //! | same distribution? | [`ks_uniform`], [`ks_two_sample`] |
 //! | is a picture right? | [`Restarts::compare`] with a [`Reference`]: image, tiles, pixels |
+//! | is it surely right in every part and age? | [`Restarts::parts`] judged by [`agreement`]: intersection-union and Holm |
 //! | is an expectation exactly right? | [`enumerate`], [`expectation`]: every outcome, exact probabilities; [`enumerate_f64`] for weights in `f32` |
 //! | how many samples? | [`samples_for_bias`], [`detectable_bias`] |
 //!
 //! All sums are f64; all tail probabilities are survival functions, never 1 − cdf.
 
+mod agreement;
 mod chi_square;
 mod enumerate;
 mod mean;
@@ -19,6 +21,7 @@ mod moments;
 mod multiple;
 mod picture;
 
+pub use agreement::{Agreement, Part, Place, Quantity, Tolerance, agreement};
 pub use chi_square::{ChiSquare, DensityCheck, Grid, check_sphere, check_square, chi_square};
 pub use enumerate::{
     Enumerator, Outcome, Probability, Rational, enumerate, enumerate_f64, enumerate_stratified,

@@ -3,7 +3,7 @@
 //! | scale | sample | question |
 //! |---|---|---|
 //! | image | image mean of a restart | equivalence: is the relative bias surely below δ? |
-//! | tile | tile mean of a restart | does any tile differ? Welch, Holm over all tiles |
+//! | tile | tile mean of a restart | does any tile differ ([`Restarts::compare`])? is each surely right ([`Restarts::parts`])? |
 //! | pixel | pixel of a restart | map of p-values, to look at |
 //!
 //! Pixels of one restart are correlated wherever samples are reused, so every variance is across restarts, never across pixels
@@ -13,8 +13,8 @@
 use glam::Vec3;
 
 use super::{
-    Equivalence, Estimate, KolmogorovSmirnov, Margin, Moments, Verdict, benjamini_hochberg,
-    equivalence, holm, ks_uniform, sidak_p, welch,
+    Equivalence, Estimate, KolmogorovSmirnov, Margin, Moments, Part, Place, Quantity, Tolerance,
+    Verdict, benjamini_hochberg, equivalence, holm, ks_uniform, sidak_p, welch,
 };
 use crate::error::{Error, Result};
 use crate::math::luminance;
@@ -242,6 +242,43 @@ impl Restarts {
         let not_finite = self.not_finite + other.not_finite;
         let count = self.count().min(other.count());
         Ok(compare(self, other, &self.layout, criteria, count, not_finite))
+    }
+
+    /// Every mean that must agree with the reference: luminance, red, green and blue of the image, then of each tile. Parts of several
+    /// ages may be judged together by [`agreement`](super::agreement).
+    ///
+    /// # Errors
+    ///
+    /// If the sizes differ.
+    pub fn parts(&self, reference: &Reference, tolerance: &Tolerance) -> Result<Vec<Part>> {
+        self.layout.check("a reference", reference.mean.len())?;
+        let side = ReferenceSide::new(reference, &self.layout);
+        let floor = tolerance.tile_floor * side.image(LUMINANCE).mean.abs();
+        let mut parts = Vec::new();
+        let mut add = |place, delta, floor: f64, of: &dyn Fn(usize) -> Option<[Estimate; 2]>| {
+            let Some([_, luminance]) = of(LUMINANCE) else { return };
+            for (quantity, at) in [
+                (Quantity::Luminance, LUMINANCE),
+                (Quantity::Red, 0),
+                (Quantity::Green, 1),
+                (Quantity::Blue, 2),
+            ] {
+                let Some([test, truth]) = of(at) else { continue };
+                let scale = truth.mean.abs().max(luminance.mean.abs()).max(floor);
+                parts.push(Part { place, quantity, test: welch(&test, &truth), scale, delta });
+            }
+        };
+        add(Place::Image, tolerance.image, 0.0, &|q| Some([Side::image(self, q), side.image(q)]));
+        for tile in 0..self.layout.tiles() {
+            let place = Place::Tile {
+                x: tile % self.layout.columns() * self.layout.tile,
+                y: tile / self.layout.columns() * self.layout.tile,
+            };
+            add(place, tolerance.tile, floor, &|q| {
+                Some([Side::tile(self, tile, q)?, side.tile(tile, q)?])
+            });
+        }
+        Ok(parts)
     }
 
     fn same_layout(&self, other: &Self) -> Result<()> {
@@ -737,6 +774,56 @@ mod tests {
         assert_eq!(merged.count(), 100);
         let (x, y) = (merged.luminance(), a.luminance());
         assert!((x.variance() / y.variance() - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn parts_are_image_and_tiles_with_their_scales() {
+        let tolerance = Tolerance::of(0.005);
+        let mut all = Restarts::new(SIZE, SIZE, 16, None).unwrap();
+        for run in 0..40 {
+            // The upper left quarter is nearly black; blue is a quarter of red.
+            all.push(&picture(20_000 + run, |i| Vec3::splat(dim(i)))).unwrap();
+        }
+        let dark = Reference::exact(SIZE, SIZE, (0..PIXELS).map(|i| truth(i) * dim(i)).collect());
+        let parts = all.parts(&dark.unwrap(), &tolerance).unwrap();
+        assert_eq!(parts.len(), 4 + 4 * 4);
+        let image = parts[0].scale;
+        assert_eq!((parts[0].place, parts[0].delta), (Place::Image, 0.005));
+        assert_eq!(parts[3].quantity, Quantity::Blue);
+        assert_eq!(parts[3].scale, image, "a dark channel counts as the luminance");
+        assert_eq!((parts[4].place, parts[4].delta), (Place::Tile { x: 0, y: 0 }, 0.01));
+        assert!((parts[4].scale / image - 0.1).abs() < 1e-12, "a dark tile counts as a tenth");
+        assert!(parts[8].scale > image);
+    }
+
+    fn dim(i: usize) -> f32 {
+        if i % SIZE < 16 && i / SIZE < 16 { 1e-3 } else { 1.0 }
+    }
+
+    #[test]
+    fn tiles_must_be_shown_to_be_equivalent_and_planted_bias_fails() {
+        // Standard errors of 500 restarts: image 12.5 % / sqrt(512 · 500) = 0.025 %, tile of 128 pairs 0.05 %.
+        let verdict = |count: u64, base: u64, bias: fn(usize) -> Vec3| {
+            let mut all = Restarts::new(SIZE, SIZE, 16, None).unwrap();
+            for run in 0..count {
+                all.push(&picture(base * 10_000 + run, bias)).unwrap();
+            }
+            let parts = all.parts(&exact(), &Tolerance::of(0.005)).unwrap();
+            super::super::agreement(&parts, &Tolerance::of(0.005)).verdict
+        };
+        assert_eq!(verdict(500, 30, |_| Vec3::ONE), Verdict::Pass);
+        // 10 restarts: the tiles' interval is 5 times as wide as their margin; nothing differs, nothing is shown.
+        assert_eq!(verdict(10, 31, |_| Vec3::ONE), Verdict::Inconclusive);
+        // 2 % in one tile is 0.5 % or less of the image; opposite signs cancel there altogether.
+        let tiles = |i: usize| match (i % SIZE / 16, i / SIZE / 16) {
+            (0, 0) => Vec3::splat(1.02),
+            (0, 1) => Vec3::splat(0.98),
+            _ => Vec3::ONE,
+        };
+        assert_eq!(verdict(500, 32, tiles), Verdict::Fail);
+        // A blue cast of 3 %, a quarter of the luminance's mean of blue: only the channel shows it.
+        assert_eq!(verdict(500, 33, |_| Vec3::new(1.0, 1.0, 1.03)), Verdict::Fail);
+        assert_eq!(verdict(500, 34, |_| Vec3::splat(0.99)), Verdict::Fail);
     }
 
     #[test]

@@ -69,8 +69,12 @@ impl Ran {
     }
 }
 
+fn scene(name: &str) -> String {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes").join(name).display().to_string()
+}
+
 fn cornell() -> String {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/cornell.pbrt").display().to_string()
+    scene("cornell.pbrt")
 }
 
 const TINY: &str =
@@ -79,7 +83,8 @@ const TINY: &str =
 #[test]
 fn help_teaches_by_example() {
     let place = Place::new("help");
-    let commands = ["compare", "render", "verify", "inspect", "plan", "diff", "generate", "list"];
+    let commands =
+        ["compare", "render", "verify", "lag", "inspect", "plan", "diff", "generate", "list"];
     let top = place.run("--help").done();
     for command in commands {
         assert!(top.out.contains(command), "{command} in {}", top.out);
@@ -95,6 +100,7 @@ fn help_teaches_by_example() {
 #[test]
 fn wrong_input_is_status_two_and_one_line_that_lists_what_exists() {
     let place = Place::new("wrong");
+    let moving = scene("moving.pbrt");
     let scene = cornell();
     std::fs::write(place.path("bad.exr"), b"no picture").unwrap();
     std::fs::write(place.path("bad.pbrt"), b"WorldBegin Shape \"cube\"").unwrap();
@@ -120,6 +126,20 @@ fn wrong_input_is_status_two_and_one_line_that_lists_what_exists() {
         (format!("inspect {scene} --technique nee --pixel 999,0 --size 8x8"), vec!["999,0", "8x8"]),
         ("diff bad.exr bad.exr".to_string(), vec!["bad.exr"]),
         ("generate many-lights:x".to_string(), vec!["many-lights:N"]),
+        (format!("compare {} --warmup", moving), vec!["--warmup", "does not move"]),
+        (format!("verify nee {scene} --ages 0,5"), vec!["0,5", "1,5,20"]),
+        (format!("verify nee {scene} --delta 0"), vec!["percent"]),
+        (format!("verify nee {scene} --rungs still"), vec!["--ladder"]),
+        (
+            format!("verify nee {scene} --ladder --rungs sideways"),
+            vec!["sideways", "moving camera"],
+        ),
+        (format!("verify ne {scene} --ladder"), vec!["no technique is called `ne`"]),
+        (format!("verify nee {scene} --ladder --reference bad.exr"), vec!["--reference"]),
+        ("verify nee --ladder".to_string(), vec!["no scene is given", "scenes/penumbra.pbrt"]),
+        (format!("lag {scene}"), vec!["--technique"]),
+        ("lag many-lights:3 --technique ne".to_string(), vec!["known: nee, bsdf"]),
+        (format!("lag {scene} --technique nee --reference bad.exr"), vec!["--reference"]),
         ("compar x".to_string(), vec!["compare"]),
         ("compare".to_string(), vec!["SCENE"]),
     ] {
@@ -144,7 +164,7 @@ fn compare_writes_what_it_promises_and_uses_its_cache() {
     }
     let folder = place.path("first");
     for name in
-        "results.json table.md table.csv curve.csv error_time.svg contact.png reference.exr reference.png nee.exr bsdf.png"
+        "results.json table.md table.csv curve.csv error_time.svg spectrum.csv contact.png reference.exr reference.png nee.exr bsdf.png"
             .split(' ')
     {
         assert!(std::fs::metadata(folder.join(name)).unwrap().len() > 0, "{name}");
@@ -175,6 +195,12 @@ fn compare_writes_what_it_promises_and_uses_its_cache() {
         assert!(row.bias.is_some());
     }
     assert!(results.curves.iter().all(|c| c.points.len() >= 3));
+    for spectrum in &results.spectra {
+        assert!(spectrum.points.len() > 10 && spectrum.points.iter().all(|p| p.power.mean > 0.0));
+    }
+    assert_eq!(results.spectra.len(), 2);
+    // No technique here keeps history.
+    assert!(results.warmups.is_empty() && !folder.join("warmup.csv").exists());
     // The picture with its emission apart can be judged again.
     let diff = place.run("diff first/nee.exr first/reference.exr --json").done();
     let diff: serde_json::Value = serde_json::from_str(&diff.out).unwrap();
@@ -197,6 +223,80 @@ fn compare_writes_what_it_promises_and_uses_its_cache() {
     let third = place.run(&line.replace("first", "third")).done();
     assert!(third.err.contains("checksum") && third.err.contains("made anew"), "{third:?}");
     assert_eq!(place.results("third").reference.source, "made");
+}
+
+#[test]
+fn warmup_is_written_where_it_is_asked_for() {
+    let place = Place::new("warmup");
+    place.run(&format!("compare {} {TINY} --warmup --out w", cornell())).done();
+    let warmups = place.results("w").warmups;
+    assert_eq!(warmups.len(), 2);
+    for warmup in &warmups {
+        assert!(warmup.relmse.len() == 2 && warmup.relmse.iter().all(|f| f.mean > 0.0));
+    }
+    // Frame 2 is the one that is judged.
+    let judged = place.results("w").rows[0].metrics["relmse"];
+    assert_eq!(warmups[0].relmse[1], judged);
+    let csv = std::fs::read_to_string(place.path("w/warmup.csv")).unwrap();
+    assert_eq!(csv.lines().count(), 1 + 2 * 2, "{csv}");
+    assert!(std::fs::read_to_string(place.path("w/warmup.svg")).unwrap().contains("frames since"));
+}
+
+/// The reference is `nee` again, with other seeds: no bias, so that margins alone decide.
+const ITSELF: &str = "--against nee:roulette=60 --quick --reference-time 5 --check";
+
+#[test]
+fn verify_passes_within_wide_margins_and_decides_nothing_within_narrow_ones() {
+    let place = Place::new("verify");
+    let line = format!("verify nee {} --depth 2 --ages 1,3 {ITSELF}", cornell());
+    let wide = place.run(&format!("{line} --delta 5")).done();
+    assert!(wide.out.contains("verdict    pass") && !wide.out.contains("stage 2"), "{wide:?}");
+    // Both ages are there, with an image and a tile each.
+    for part in ["worst tile", "99.9 %", "seeds: restarts 0 to", "first against last age"] {
+        assert!(wide.out.contains(part), "{part} in {wide:?}");
+    }
+    let narrow = place.run(&format!("{line} --delta 0.01 --restarts 24")).done();
+    assert!(narrow.out.contains("verdict    inconclusive"), "{narrow:?}");
+    assert!(narrow.out.contains("restarts 0 to 95"), "the second stage has four times as many");
+}
+
+#[test]
+fn a_ladder_prints_and_writes_a_row_a_rung() {
+    let place = Place::new("ladder");
+    let line = format!(
+        "verify nee {} --ladder --delta 10 --ages 1,3 --minutes 2 --out ladder.md {ITSELF}",
+        scene("penumbra.pbrt")
+    );
+    let ran = place.run(&line).done();
+    let rows: Vec<&str> = ran.out.lines().filter(|l| l.starts_with("| ")).skip(1).collect();
+    assert_eq!(rows.len(), 5, "{ran:?}");
+    for (row, rung) in rows.iter().zip(["still", "camera", "light", "occluder", "all"]) {
+        assert!(row.contains(rung) && row.contains("| unbiased | 1, 3 | pass"), "{row}");
+    }
+    assert_eq!(std::fs::read_to_string(place.path("ladder.md")).unwrap(), ran.out);
+    // A rung alone has the seeds, and so the figures, that it has among all. (The clock may give it more restarts.)
+    let alone =
+        place.run(&line.replace("--ladder", "--ladder --rungs occluder --restarts 30")).done();
+    let again = place.run(&line.replace("--ladder", "--ladder --restarts 30")).done();
+    let row =
+        |ran: &Ran| ran.out.lines().find(|l| l.contains("occluder |")).unwrap().replace(' ', "");
+    assert_eq!(row(&alone), row(&again));
+}
+
+#[test]
+fn lag_without_history_is_one_frame() {
+    let place = Place::new("lag");
+    let line = format!(
+        "lag {} --technique nee --size 32x32 --before 2 --after 3 --restarts 8 --reference-time 3",
+        scene("penumbra.pbrt")
+    );
+    for change in ["light", "occluder"] {
+        let ran = place.run(&format!("{line} --change {change}")).done();
+        assert!(ran.out.contains("90 % of the step in frame 1\n"), "{ran:?}");
+        let before = ran.out.lines().find(|l| l.trim_start().starts_with("before")).unwrap();
+        let response: f64 = before.split_whitespace().nth(1).unwrap().parse().unwrap();
+        assert!(response.abs() < 0.1, "{before}");
+    }
 }
 
 #[test]

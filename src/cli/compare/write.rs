@@ -8,7 +8,7 @@ use crate::Result;
 use crate::picture::Picture;
 use crate::report::{
     Layer, Results, Tile, ToneMap, contact_sheet, csv, curve_csv, error_map, error_time_svg,
-    markdown, write_atomic, write_exr, write_png,
+    markdown, spectrum_csv, warmup_csv, warmup_svg, write_atomic, write_exr, write_png,
 };
 
 /// Characters that are safe in file names everywhere; others become `-`.
@@ -36,6 +36,13 @@ pub(super) fn all(
         text("curve.csv", &curve_csv(results))?;
         if let Some(svg) = error_time_svg(&results.scene, &results.curves)? {
             text("error_time.svg", &svg)?;
+        }
+    }
+    text("spectrum.csv", &spectrum_csv(results))?;
+    if !results.warmups.is_empty() {
+        text("warmup.csv", &warmup_csv(results))?;
+        if let Some(svg) = warmup_svg(&results.scene, &results.warmups)? {
+            text("warmup.svg", &svg)?;
         }
     }
     let tone = ToneMap::for_reference(truth);

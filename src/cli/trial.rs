@@ -1,0 +1,506 @@
+//! One technique on one scene against a reference: how many restarts, two stages, a verdict.
+//!
+//! 1. A pilot of [`PILOT`] restarts says how much the means vary, and how long a restart takes. From that follows how many restarts
+//!    the first stage needs. The pilot is never tested, so this choice costs nothing of any α.
+//! 2. First stage. All parts ([`crate::stats::agreement`]) of all ages are judged together. A pass ends the trial.
+//! 3. Otherwise the second stage decides: fresh seeds, four times as many restarts.
+//!
+//! Levels: a wrong picture has two chances to pass, so each stage tests equivalence at α/2 = 5·10⁻⁴. Nothing fails but by the second
+//! stage at 10⁻⁴ (Holm), whatever the first one said: both share the reference's error, so their levels must not be multiplied.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use super::args::ReferenceArgs;
+use super::engine::{self, Engine};
+use super::progress::Progress;
+use super::reference::{self, Made};
+use super::seeds::{Part as Seeds, seed};
+use super::{bias, note};
+use crate::Result;
+use crate::plan::Plan;
+use crate::report::{CacheKey, Reference};
+use crate::stats::{self, Part, Place, Quantity, Restarts, Tolerance, Verdict, agreement};
+use crate::techniques::Technique;
+
+/// Restarts of the pilot.
+const PILOT: u32 = 8;
+/// Fewer restarts leave Student's quantiles wide and the skewness unknown.
+const FEWEST: u32 = 24;
+/// Level at which the first stage calls a difference certain, which only the second may confirm.
+const SCREEN_ALPHA: f64 = 1e-2;
+/// The reference's standard error of any part, in margins.
+const REFERENCE_ERROR: f64 = 0.1;
+/// Standard error of a part over restarts that passes almost surely, in margins: with the reference's 0.1 the margin is then 6.3
+/// standard errors, of which the test at 5·10⁻⁴ takes 3.3.
+const RESTART_ERROR: f64 = 0.12;
+
+/// How a trial is run.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Settings<'a> {
+    /// Frames after the cold start that are judged, rising.
+    pub ages: &'a [u32],
+    /// Estimates a pixel and frame.
+    pub effort: u32,
+    /// δ of the image.
+    pub delta: f64,
+    /// Restarts of the first stage; by the pilot where none.
+    pub restarts: Option<u32>,
+    /// Most restarts that the pilot may ask for.
+    pub most: u32,
+    /// Seconds that restarts may take in all, as the pilot's clock says.
+    pub seconds: f64,
+    /// Whether a second stage follows a first one that is no pass.
+    pub confirm: bool,
+    /// Seed of the run.
+    pub run: u64,
+    /// Number of the trial in its run: no two share a seed.
+    pub number: u32,
+    /// Technique of the reference.
+    pub against: &'a str,
+    /// Where references come from.
+    pub reference: &'a ReferenceArgs,
+}
+
+/// References that trials of one run share.
+#[derive(Debug, Default)]
+pub(super) struct References {
+    known: Vec<(CacheKey, Arc<Made>)>,
+}
+
+impl References {
+    /// The reference for `engine`, whose every part is to be known to [`REFERENCE_ERROR`]. `like` has the parts.
+    fn obtain(
+        &mut self,
+        engine: &Engine,
+        settings: &Settings<'_>,
+        like: &Restarts,
+    ) -> Result<Arc<Made>> {
+        let key = engine.key(settings.against);
+        if let Some((_, made)) = self.known.iter().find(|(known, _)| *known == key) {
+            return Ok(made.clone());
+        }
+        let tolerance = Tolerance::of(settings.delta);
+        // A first guess from the image as a whole; a black one sets no target.
+        let error = REFERENCE_ERROR * settings.delta * like.luminance().mean();
+        let mut variance = error * error * engine.shot.pixels() as f64;
+        if variance.is_nan() || variance <= 0.0 {
+            variance = f64::INFINITY;
+        }
+        let mut args = settings.reference.clone();
+        let begin = Instant::now();
+        let mut made = reference::obtain(engine, &args, settings.against, variance)?;
+        // Dark tiles may need more, and then all of the picture gets it.
+        for _ in 0..3 {
+            let error = reference_error(like, &made.reference, &tolerance)? / REFERENCE_ERROR;
+            args.reference_time = settings.reference.reference_time - begin.elapsed().as_secs_f64();
+            let Some(now) = made.reference.variance() else { break };
+            if error < 1.1 || args.reference_time < 0.5 {
+                break;
+            }
+            made = reference::obtain(engine, &args, settings.against, now / (error * error))?;
+        }
+        let made = Arc::new(made);
+        self.known.push((key, made.clone()));
+        Ok(made)
+    }
+}
+
+/// The largest standard error of a part that the reference alone causes, in margins.
+fn reference_error(like: &Restarts, reference: &Reference, tolerance: &Tolerance) -> Result<f64> {
+    let with = like.parts(&bias::truth(reference)?, tolerance)?;
+    let without = like.parts(&bias::exact(reference)?, tolerance)?;
+    Ok(with
+        .iter()
+        .zip(&without)
+        .map(|(with, without)| {
+            let square = with.test.standard_error.powi(2) - without.test.standard_error.powi(2);
+            square.max(0.0).sqrt() / (with.delta * with.scale)
+        })
+        .filter(|error| error.is_finite())
+        .fold(0.0, f64::max))
+}
+
+/// One age of one stage.
+#[derive(Debug)]
+pub(super) struct Age {
+    /// Frames since the cold start.
+    pub frames: u32,
+    pub restarts: Restarts,
+    pub parts: Vec<Part>,
+    pub verdicts: Vec<Verdict>,
+}
+
+impl Age {
+    pub(super) fn verdict(&self) -> Verdict {
+        self.verdicts.iter().copied().fold(Verdict::Pass, Verdict::and)
+    }
+
+    /// Luminance of the image.
+    pub(super) fn image(&self) -> &Part {
+        &self.parts[0]
+    }
+
+    /// Tiles in which any quantity fails.
+    pub(super) fn tiles_failed(&self) -> usize {
+        let mut tiles: Vec<Place> = self
+            .parts
+            .iter()
+            .zip(&self.verdicts)
+            .filter(|(part, verdict)| part.place != Place::Image && **verdict == Verdict::Fail)
+            .map(|(part, _)| part.place)
+            .collect();
+        tiles.dedup();
+        tiles.len()
+    }
+}
+
+/// Restarts that were judged.
+#[derive(Debug)]
+pub(super) struct Judged {
+    pub ages: Vec<Age>,
+    pub verdict: Verdict,
+    /// That each part was tested at.
+    pub tolerance: Tolerance,
+}
+
+impl Judged {
+    /// Confidence of the interval that a pass places inside the margins.
+    pub(super) fn confidence(&self) -> f64 {
+        1.0 - 2.0 * self.tolerance.equivalence_alpha
+    }
+
+    /// The part whose interval reaches farthest, of the image or of the tiles, with its age.
+    pub(super) fn worst(&self, image: bool) -> Option<(u32, &Part)> {
+        let confidence = self.confidence();
+        self.ages
+            .iter()
+            .flat_map(|age| age.parts.iter().map(move |part| (age.frames, part)))
+            .filter(|(_, part)| (part.place == Place::Image) == image)
+            .max_by(|(_, a), (_, b)| a.reach(confidence).total_cmp(&b.reach(confidence)))
+    }
+}
+
+/// A trial with all its stages.
+#[derive(Debug)]
+pub(super) struct Outcome {
+    pub plan: Plan,
+    /// One, or two.
+    pub stages: Vec<Judged>,
+}
+
+impl Outcome {
+    /// The stage that decided.
+    pub(super) fn last(&self) -> &Judged {
+        &self.stages[self.stages.len() - 1]
+    }
+}
+
+/// Runs a trial; `shown` gets every stage as soon as it is judged.
+pub(super) fn run(
+    engine: &Engine,
+    technique: &Arc<dyn Technique>,
+    settings: &Settings<'_>,
+    references: &mut References,
+    mut shown: impl FnMut(&Judged, &[Arc<Made>]) -> Result<()>,
+) -> Result<Outcome> {
+    let plan = engine.plan(&**technique);
+    let begin = Instant::now();
+    let pilot = restarts(engine, technique, settings, Seeds::Pilot, PILOT)?;
+    let a_restart = begin.elapsed().as_secs_f64() / f64::from(PILOT);
+
+    let moving = engine.stage.facts().moves();
+    let made = settings.ages[..if moving { settings.ages.len() } else { 1 }]
+        .iter()
+        .zip(&pilot)
+        .map(|(&age, like)| references.obtain(&engine.frozen(age - 1)?, settings, like))
+        .collect::<Result<Vec<_>>>()?;
+    let of_age = |at: usize| &made[at.min(made.len() - 1)].reference;
+
+    let affordable = |share: f64| (share * settings.seconds / a_restart).min(1e9) as u32;
+    let count = match settings.restarts {
+        Some(count) => count,
+        None => {
+            let most = settings.most.min(affordable(0.2)).max(FEWEST);
+            needed(&pilot, of_age, settings)?.clamp(FEWEST, most)
+        }
+    };
+    let mut stages = Vec::new();
+    for (part, count, difference_alpha) in [
+        (Seeds::Restart, count, SCREEN_ALPHA),
+        (Seeds::SecondStage, count.saturating_mul(4).min(affordable(0.8)).max(FEWEST), 1e-4),
+    ] {
+        let tolerance = Tolerance::of(settings.delta);
+        let tolerance = Tolerance {
+            equivalence_alpha: 0.5 * tolerance.equivalence_alpha,
+            difference_alpha,
+            ..tolerance
+        };
+        let found = restarts(engine, technique, settings, part, count)?;
+        let judged = judge(found, settings.ages, of_age, tolerance)?;
+        shown(&judged, &made)?;
+        let passed = judged.verdict == Verdict::Pass;
+        stages.push(judged);
+        if passed || !settings.confirm {
+            break;
+        }
+    }
+    Ok(Outcome { plan, stages })
+}
+
+/// Independent restarts, looked at at every age.
+fn restarts(
+    engine: &Engine,
+    technique: &Arc<dyn Technique>,
+    settings: &Settings<'_>,
+    part: Seeds,
+    count: u32,
+) -> Result<Vec<Restarts>> {
+    let mut found = Vec::new();
+    for _ in settings.ages {
+        found.push(bias::restarts(engine.shot.size)?);
+    }
+    let progress = Progress::new("restarts", u64::from(count));
+    progress.say(&technique.spec());
+    let mut frames = engine.start(technique, settings.effort, 0)?;
+    for index in 0..count {
+        frames.restart(seed(settings.run, part, settings.number, index));
+        let mut done = 0;
+        for (restarts, &age) in found.iter_mut().zip(settings.ages) {
+            while done + 1 < age {
+                engine::next(&mut frames)?;
+                done += 1;
+            }
+            restarts.push(&engine::next(&mut frames)?.picture().pixels)?;
+            done += 1;
+        }
+        progress.step();
+    }
+    let bad: u64 = found.iter().map(Restarts::not_finite).sum();
+    if bad > 0 {
+        note(&format!("warning: {bad} pixels of `{}` are not finite", technique.spec()));
+    }
+    Ok(found)
+}
+
+/// Restarts after which every part is as certain as [`RESTART_ERROR`] asks for.
+fn needed<'a>(
+    pilot: &[Restarts],
+    of_age: impl Fn(usize) -> &'a Reference,
+    settings: &Settings<'_>,
+) -> Result<u32> {
+    let tolerance = Tolerance::of(settings.delta);
+    let mut most: f64 = 0.0;
+    for (at, restarts) in pilot.iter().enumerate() {
+        for part in restarts.parts(&bias::exact(of_age(at))?, &tolerance)? {
+            let error = part.test.standard_error / (RESTART_ERROR * part.delta * part.scale);
+            // A black part has no error and no scale.
+            if error.is_finite() {
+                most = most.max(error * error);
+            }
+        }
+    }
+    Ok((f64::from(PILOT) * most).ceil().min(1e9) as u32)
+}
+
+/// Judges all ages together.
+fn judge<'a>(
+    found: Vec<Restarts>,
+    frames: &[u32],
+    of_age: impl Fn(usize) -> &'a Reference,
+    tolerance: Tolerance,
+) -> Result<Judged> {
+    let mut ages = Vec::new();
+    for (at, (restarts, &frames)) in found.into_iter().zip(frames).enumerate() {
+        let parts = restarts.parts(&bias::truth(of_age(at))?, &tolerance)?;
+        ages.push(Age { frames, restarts, parts, verdicts: Vec::new() });
+    }
+    let all: Vec<Part> = ages.iter().flat_map(|age| age.parts.iter().copied()).collect();
+    let stats::Agreement { verdict, parts } = agreement(&all, &tolerance);
+    let mut verdicts = parts.into_iter();
+    for age in &mut ages {
+        age.verdicts = verdicts.by_ref().take(age.parts.len()).collect();
+    }
+    Ok(Judged { ages, verdict, tolerance })
+}
+
+/// A part's bias with its interval, in percent: `+0.12 [-0.03, +0.27]`.
+pub(super) fn percent(part: &Part, confidence: f64) -> String {
+    let (low, high) = part.relative_interval(confidence);
+    format!("{:+.2} [{:+.2}, {:+.2}]", 100.0 * part.relative(), 100.0 * low, 100.0 * high)
+}
+
+/// Where, without what goes without saying: `blue`, `(16, 0)`, `blue of (16, 0)`; empty for the image's luminance.
+pub(super) fn place(part: &Part) -> String {
+    let quantity = match part.quantity {
+        Quantity::Luminance => "",
+        Quantity::Red => "red",
+        Quantity::Green => "green",
+        Quantity::Blue => "blue",
+    };
+    match part.place {
+        Place::Image => quantity.to_string(),
+        Place::Tile { x, y } if quantity.is_empty() => format!("({x}, {y})"),
+        Place::Tile { x, y } => format!("{quantity} of ({x}, {y})"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::motion::{self, Motion};
+    use super::*;
+    use crate::picture::Picture;
+    use crate::plan::Shot;
+    use crate::techniques::{Band, FrameInputs};
+    use glam::Vec3;
+
+    const SIZE: [u32; 2] = [16, 16];
+
+    /// Grey pixels uniform in [0, 2) times `gain` in the upper left tile: c = 0.58, 7.2 % in a tile of 64 pixels.
+    fn picture(key: u32, gain: f32) -> Picture {
+        let pixels = (0..256)
+            .map(|at| {
+                let factor = if at % 16 < 8 && at / 16 < 8 { gain } else { 1.0 };
+                let u = crate::math::rng::unit_float(crate::math::rng::pcg4d([key, at, 3, 5])[0]);
+                Vec3::splat(2.0 * factor * u)
+            })
+            .collect();
+        Picture::new(16, 16, pixels)
+    }
+
+    fn sample(count: u32, key: u32, gain: f32) -> Restarts {
+        let mut restarts = bias::restarts(SIZE).unwrap();
+        for at in 0..count {
+            restarts.push(&picture(key + at, gain).pixels).unwrap();
+        }
+        restarts
+    }
+
+    fn reference() -> Reference {
+        let mut reference = Reference::new(SIZE);
+        for at in 0..6000 {
+            reference.add(&picture(1_000_000 + at, 1.0));
+        }
+        reference
+    }
+
+    #[test]
+    fn one_bad_age_fails_the_trial_and_is_named_the_worst() {
+        // 3000 restarts: standard error of a tile 0.13 % and as much of the reference; its margin is 2 %.
+        let reference = reference();
+        let tolerance = Tolerance::of(0.01);
+        let outcome = |gain: f32, count: u32| {
+            let found = vec![sample(count, 0, 1.0), sample(count, 10_000, gain)];
+            judge(found, &[1, 20], |_| &reference, tolerance).unwrap()
+        };
+        let good = outcome(1.0, 3000);
+        assert_eq!(good.verdict, Verdict::Pass);
+        assert!(good.worst(true).unwrap().1.reach(good.confidence()) < 1.0);
+        assert_eq!(outcome(1.0, 8).verdict, Verdict::Inconclusive, "too few restarts");
+
+        let bad = outcome(1.02, 3000);
+        assert_eq!(bad.verdict, Verdict::Fail);
+        assert_eq!((bad.ages[0].verdict(), bad.ages[1].verdict()), (Verdict::Pass, Verdict::Fail));
+        assert_eq!(bad.ages[1].tiles_failed(), 1);
+        let (frames, part) = bad.worst(false).unwrap();
+        assert_eq!((frames, part.place), (20, Place::Tile { x: 0, y: 0 }));
+        assert!((part.relative() - 0.02).abs() < 0.006, "{}", part.relative());
+        assert!(place(part).ends_with("(0, 0)"), "{}", place(part));
+    }
+
+    #[test]
+    fn the_pilot_asks_for_more_restarts_where_less_is_known() {
+        let reference = reference();
+        let args = ReferenceArgs { reference: None, reference_time: 1.0, cache: None };
+        let ask = |delta: f64| {
+            let settings = Settings {
+                ages: &[1],
+                effort: 1,
+                delta,
+                restarts: None,
+                most: 1000,
+                seconds: f64::INFINITY,
+                confirm: true,
+                run: 1,
+                number: 0,
+                against: "nee",
+                reference: &args,
+            };
+            needed(&[sample(PILOT, 50_000, 1.0)], |_| &reference, &settings).unwrap()
+        };
+        // A tile varies by 7.2 % a restart: (7.2 / (0.12 · 2))² = 900, the largest of five estimates from eight restarts.
+        assert!((500..4000).contains(&ask(0.01)), "{}", ask(0.01));
+        let ratio = f64::from(ask(0.005)) / f64::from(ask(0.01));
+        assert!((3.9..4.1).contains(&ratio), "{ratio}");
+    }
+
+    /// `nee`, as if the lights were where they were a frame ago.
+    #[derive(Debug)]
+    struct Late(Arc<dyn Technique>);
+
+    impl Technique for Late {
+        fn spec(&self) -> String {
+            "late".to_string()
+        }
+
+        fn plan(&self, facts: &crate::plan::SceneFacts, shot: &Shot) -> Plan {
+            self.0.plan(facts, shot)
+        }
+
+        fn run(
+            &self,
+            kernel: u32,
+            inputs: &FrameInputs<'_>,
+            band: &mut Band<'_>,
+        ) -> crate::path::Counters {
+            let world = inputs.previous.unwrap_or(inputs.world);
+            self.0.run(kernel, &FrameInputs { world, ..*inputs }, band)
+        }
+    }
+
+    /// Light, camera and references of a moving scene, for a technique; δ = 5 %, ages 1 and 3. The light moves by an eighth of its side a frame.
+    fn moving_light(technique: &Arc<dyn Technique>) -> Outcome {
+        let scene = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/penumbra.pbrt");
+        let scene = crate::scene::load::load(&scene).unwrap().scene;
+        let scene = motion::only(&scene, Motion::Light, 0.2).unwrap();
+        let filter = crate::plan::Filter::Point;
+        let shot = Shot { size: [16, 16], depth: 2, filter, run: 1, effort: 1, fps: 30 };
+        let stage = crate::frame::Stage::new(scene).unwrap();
+        let engine = Engine { scene: "x".into(), name: "x".into(), stage, shot };
+        let cache = std::env::temp_dir().join(format!("afterimage-trial-{}", std::process::id()));
+        let args =
+            ReferenceArgs { reference: None, reference_time: 4.0, cache: Some(cache.clone()) };
+        let settings = Settings {
+            ages: &[1, 3],
+            effort: 4,
+            delta: 0.05,
+            restarts: None,
+            most: 1000,
+            seconds: f64::INFINITY,
+            confirm: true,
+            run: 1,
+            number: 0,
+            against: "nee:roulette=60",
+            reference: &args,
+        };
+        let mut references = References::default();
+        let outcome = run(&engine, technique, &settings, &mut references, |_, _| Ok(())).unwrap();
+        // One a frame: they are not the same picture.
+        assert_eq!(references.known.len(), 2);
+        std::fs::remove_dir_all(cache).unwrap();
+        outcome
+    }
+
+    #[test]
+    fn a_technique_late_by_a_frame_fails_where_the_light_moves_and_the_punctual_one_passes() {
+        let nee = engine::technique("nee").unwrap();
+        let punctual = moving_light(&nee);
+        assert_eq!(punctual.last().verdict, Verdict::Pass);
+        let late: Arc<dyn Technique> = Arc::new(Late(nee));
+        let late = moving_light(&late);
+        assert_eq!((late.stages.len(), late.last().verdict), (2, Verdict::Fail));
+        // At the cold start there is no frame before.
+        assert_ne!(late.last().ages[0].verdict(), Verdict::Fail);
+        assert_eq!(late.last().ages[1].verdict(), Verdict::Fail);
+    }
+}
