@@ -6,6 +6,7 @@ use glam::{Vec2, Vec3};
 use super::{Receiver, Sight};
 use crate::accel::Ray;
 use crate::light::{EmitterPoint, LightPoint};
+use crate::math::luminance;
 use crate::math::rng::{BLOCK_LIGHT, BLOCK_SCATTER, PathSeeds, RandomSource, draw4, unit_float};
 use crate::path::Counters;
 use crate::resampling::{Plain, Reservoir};
@@ -82,7 +83,6 @@ pub fn candidates(
     let (lights, scene) = (&world.lights, &*world.scene);
     let (surface, outgoing) = receiver.surface();
     let mut reservoir = Plain::default();
-    let mut chosen = None;
     let (light_share, bsdf_share) =
         ((from.lights * from.rounds) as f32, (from.bsdf * from.rounds) as f32);
     for candidate in 0..from.lights * from.rounds {
@@ -106,14 +106,17 @@ pub fn candidates(
                 (point, emitter, None)
             }
         };
-        let Some(sight) = receiver.sight(&emitter) else { continue };
-        let density = known.unwrap_or_else(|| {
-            lights.density_towards(point, surface.position, sight.arrival.geometry)
-        });
-        let weight = sight.target() / (light_share * density + bsdf_share * sight.bsdf_density);
-        if reservoir.stream(point, weight, (), selection) {
-            chosen = Some(Chosen { point, emitter, sight });
+        let Some(arrival) = emitter.towards(lights, surface.position) else { continue };
+        let scattered = surface.bsdf.evaluate(*outgoing, surface.frame.to_local(arrival.direction));
+        let target = luminance(scattered.value * arrival.radiance);
+        if target <= 0.0 {
+            continue;
         }
+        let density = known
+            .unwrap_or_else(|| lights.density_towards(point, surface.position, arrival.geometry));
+        let bsdf_density = scattered.pdf * arrival.geometry;
+        let weight = target / (light_share * density + bsdf_share * bsdf_density);
+        reservoir.stream(point, weight, (), selection);
     }
     for candidate in 0..from.bsdf * from.rounds {
         let number = first + from.lights * from.rounds + candidate;
@@ -132,9 +135,7 @@ pub fn candidates(
                 lights.density_towards(point, surface.position, sight.arrival.geometry)
             };
             let weight = sight.target() / (light_share * density + bsdf_share * sight.bsdf_density);
-            if reservoir.stream(point, weight, (), selection) {
-                chosen = Some(Chosen { point, emitter, sight });
-            }
+            reservoir.stream(point, weight, (), selection);
         };
         for (light, environment) in lights.environments() {
             if let Some(uv) = environment.invert(direction) {
@@ -150,6 +151,11 @@ pub fn candidates(
         }
     }
     counters.weights_rejected += u64::from(reservoir.rejected());
+    // Evaluated once more: cheaper than to carry it along with every candidate that was selected for a while.
+    let chosen = reservoir.selected().and_then(|point| {
+        let (sight, emitter) = receiver.look(point)?;
+        Some(Chosen { point, emitter, sight })
+    });
     (reservoir, chosen)
 }
 

@@ -1,5 +1,7 @@
 //! Merging finished reservoirs of several domains into one: spatial and temporal reuse, for any shift map and any MIS family.
 
+use std::borrow::Borrow;
+
 use super::mis::{Family, Pairwise};
 use super::{Finished, Integrand, Measure, Reservoir, ShiftMap, Shifted};
 use crate::math::rng::RandomSource;
@@ -13,6 +15,73 @@ pub struct Input<'a, S, D, M> {
     pub target: f32,
     /// Its domain.
     pub domain: &'a D,
+}
+
+/// The inputs of a merge besides the canonical one. A slice of [`Input`]s is the plain form; a host that finds domains only when they are
+/// asked for (most merges ask for few) implements it for a type of its own.
+pub trait Others<S, D, M> {
+    /// A domain, or a reference to one.
+    type Domain<'s>: Borrow<D>
+    where
+        Self: 's;
+
+    /// How many there are.
+    fn count(&self) -> usize;
+
+    /// Sample, weight and confidence of number `at`.
+    fn finished(&self, at: usize) -> Finished<S, M>;
+
+    /// p̂ of number `at` at its own sample, in its own domain.
+    fn target(&self, at: usize) -> f32;
+
+    /// The domain of number `at`.
+    fn domain(&self, at: usize) -> Self::Domain<'_>;
+}
+
+impl<S: Copy, D, M: Measure> Others<S, D, M> for [Input<'_, S, D, M>] {
+    type Domain<'s>
+        = &'s D
+    where
+        Self: 's;
+
+    fn count(&self) -> usize {
+        self.len()
+    }
+
+    fn finished(&self, at: usize) -> Finished<S, M> {
+        self[at].finished
+    }
+
+    fn target(&self, at: usize) -> f32 {
+        self[at].target
+    }
+
+    fn domain(&self, at: usize) -> &D {
+        self[at].domain
+    }
+}
+
+impl<S: Copy, D, M: Measure, const N: usize> Others<S, D, M> for [Input<'_, S, D, M>; N] {
+    type Domain<'s>
+        = &'s D
+    where
+        Self: 's;
+
+    fn count(&self) -> usize {
+        N
+    }
+
+    fn finished(&self, at: usize) -> Finished<S, M> {
+        self[at].finished
+    }
+
+    fn target(&self, at: usize) -> f32 {
+        self[at].target
+    }
+
+    fn domain(&self, at: usize) -> &D {
+        self[at].domain
+    }
 }
 
 /// An input's part in a merge, as it is streamed.
@@ -54,7 +123,7 @@ pub fn spatial<T, R, M>(
     map: &mut T,
     family: Family,
     canonical: &Input<'_, T::Sample, T::Domain, M>,
-    others: &[Input<'_, T::Sample, T::Domain, M>],
+    others: &(impl Others<T::Sample, T::Domain, M> + ?Sized),
     reservoir: &mut R,
     random: &mut impl RandomSource,
     mut carry: impl FnMut(&Term<T::Sample, T::Integrand>) -> R::Carried,
@@ -65,7 +134,8 @@ where
     M: Measure,
 {
     let own = canonical.finished;
-    let other_confidence: f32 = others.iter().map(|o| o.finished.confidence).sum();
+    let count = others.count();
+    let other_confidence: f32 = (0..count).map(|at| others.finished(at).confidence).sum();
     let total = own.confidence + other_confidence;
     debug_assert!(own.confidence > 0.0, "the canonical input has confidence {}", own.confidence);
     debug_assert!(total.is_finite(), "the confidences sum to {total}: is there a cap?");
@@ -87,25 +157,27 @@ where
     let mut shifted: Option<Shifted<T::Sample, T::Integrand>> = None;
     let mut any_selected = false;
 
-    for (at, other) in others.iter().enumerate() {
-        let Finished { sample, weight, confidence } = other.finished;
+    for at in 0..count {
+        let Finished { sample, weight, confidence } = others.finished(at);
         if confidence <= 0.0 {
             continue;
         }
+        let domain = others.domain(at);
+        let domain = domain.borrow();
         if let Family::Pairwise | Family::DefensivePairwise = family
             && let Some(own_sample) = &own.sample
         {
-            let from = target_from(map, own_sample, canonical.domain, other.domain);
+            let from = target_from(map, own_sample, canonical.domain, domain);
             any_other |= from > 0.0;
             canonical_mis += pairwise.canonical_part(confidence, from, canonical.target);
         }
         let Some(sample) = &sample else { continue };
-        let Some(candidate) = map.shift(sample, other.domain, canonical.domain) else { continue };
+        let Some(candidate) = map.shift(sample, domain, canonical.domain) else { continue };
         let target = candidate.integrand.target();
         if target <= 0.0 {
             continue;
         }
-        let from = other.target / candidate.jacobian;
+        let from = others.target(at) / candidate.jacobian;
         let mis = match family {
             Family::Constant | Family::InverseCount | Family::Contribution => confidence / total,
             Family::Pairwise | Family::DefensivePairwise => {
@@ -113,11 +185,13 @@ where
             }
             Family::Balance => {
                 let mut rivals = 0.0;
-                for (rival_at, rival) in others.iter().enumerate() {
-                    if rival_at != at && rival.finished.confidence > 0.0 {
+                for rival in (0..count).filter(|&rival| rival != at) {
+                    let rival_confidence = others.finished(rival).confidence;
+                    if rival_confidence > 0.0 {
+                        let rival = others.domain(rival);
                         let seen =
-                            target_from(map, &candidate.sample, canonical.domain, rival.domain);
-                        rivals += rival.finished.confidence / confidence * (seen / from);
+                            target_from(map, &candidate.sample, canonical.domain, rival.borrow());
+                        rivals += rival_confidence / confidence * (seen / from);
                     }
                 }
                 rivals += own.confidence / confidence * (target / from);
@@ -139,10 +213,14 @@ where
     if let Some(sample) = own.sample {
         if family == Family::Balance && other_confidence > 0.0 {
             let mut rivals = 0.0;
-            for rival in others.iter().filter(|o| o.finished.confidence > 0.0) {
-                let seen = target_from(map, &sample, canonical.domain, rival.domain);
-                any_other |= seen > 0.0;
-                rivals += rival.finished.confidence / own.confidence * (seen / canonical.target);
+            for rival in 0..count {
+                let confidence = others.finished(rival).confidence;
+                if confidence > 0.0 {
+                    let domain = others.domain(rival);
+                    let seen = target_from(map, &sample, canonical.domain, domain.borrow());
+                    any_other |= seen > 0.0;
+                    rivals += confidence / own.confidence * (seen / canonical.target);
+                }
             }
             canonical_mis = 1.0 / (1.0 + rivals);
         }
@@ -181,27 +259,29 @@ where
             let sample = shifted.map_or(own.sample, |s| Some(s.sample));
             // p̂ of the selected sample in the domain that it comes from, as seen from here.
             let of_source = match (&shifted, source.checked_sub(1)) {
-                (Some(shifted), Some(at)) => others[at].target / shifted.jacobian,
+                (Some(shifted), Some(at)) => others.target(at) / shifted.jacobian,
                 _ => target,
             };
             let mut reach = 0.0;
             let mut sum = 0.0;
-            let mut count = |confidence: f32, from: f32| {
+            let mut reach_of = |confidence: f32, from: f32| {
                 if from > 0.0 {
                     reach += confidence;
                     // Ratios of targets: sums of huge targets would overflow.
                     sum += confidence * (from / of_source);
                 }
             };
-            count(own.confidence, target);
-            for (at, other) in others.iter().enumerate() {
-                let confidence = other.finished.confidence;
+            reach_of(own.confidence, target);
+            for at in 0..count {
+                let confidence = others.finished(at).confidence;
                 if source == at + 1 {
-                    count(confidence, of_source);
+                    reach_of(confidence, of_source);
                 } else if let Some(sample) = &sample
                     && confidence > 0.0
                 {
-                    count(confidence, target_from(map, sample, canonical.domain, other.domain));
+                    let domain = others.domain(at);
+                    let from = target_from(map, sample, canonical.domain, domain.borrow());
+                    reach_of(confidence, from);
                 }
             }
             if !any_other && reach == own.confidence {

@@ -78,7 +78,7 @@ pub use estimate::{
     Conditions, ControlVariate, Decoupled, DecoupledState, Estimator, Selected, SelectedState,
     WeightedVisibility,
 };
-pub use merge::{Input, Merged, Term, spatial, temporal};
+pub use merge::{Input, Merged, Others, Term, spatial, temporal};
 pub use mis::Family;
 pub use mutate::{Chain, Mutator, Proposal, metropolis, mutated_weight};
 pub use reservoir::{

@@ -1,7 +1,5 @@
 //! The kernels: each walks over its band's pixels, with the policy and the coverage filter as types.
 
-use std::array;
-
 use glam::{Vec2, Vec3};
 
 use super::{BOILING_TILE, MAX_NEIGHBOURS, RestirDi, TILE_BLOCK, TILES, buffer, kernel};
@@ -16,8 +14,8 @@ use crate::math::{octahedral_decode, octahedral_encode};
 use crate::path::{Counters, Limits, finite_or_counted, indirect_radiance, scattered_radiance};
 use crate::plan::{BufferId, Plan};
 use crate::resampling::{
-    ContributionWeight, Finished, Input, Merged, Plain, Reservoir, ShiftMap, Shifted, WithRadiance,
-    WithVisibility, metropolis, mutated_weight, spatial, temporal,
+    ContributionWeight, Finished, Input, Merged, Others, Plain, Reservoir, ShiftMap, Shifted,
+    WithRadiance, WithVisibility, metropolis, mutated_weight, spatial, temporal,
 };
 use crate::techniques::{Band, FrameInputs, PrimaryHit};
 use crate::world::WithFilter;
@@ -115,6 +113,47 @@ impl ShiftMap for Same {
     }
 
     fn stratum(&self, _: &Stored) {}
+}
+
+/// The neighbours that fit; a receiver is made when a weight asks for it.
+struct Neighbours<'s, 'a, F> {
+    kernels: &'s Kernels<'a, F>,
+    records: &'s [Record],
+    hits: &'s [PrimaryHit],
+    /// Pixel, and pixels away.
+    found: &'s [(u32, u32)],
+}
+
+impl<'a, F: HitFilter + Sync> Others<LightPoint, Receiver<'a>, LightMeasure>
+    for Neighbours<'_, 'a, F>
+{
+    type Domain<'s>
+        = Receiver<'a>
+    where
+        Self: 's;
+
+    #[inline]
+    fn count(&self) -> usize {
+        self.found.len()
+    }
+
+    #[inline]
+    fn finished(&self, at: usize) -> Finished<LightPoint, LightMeasure> {
+        self.records[self.found[at].0 as usize].finished()
+    }
+
+    #[inline]
+    fn target(&self, at: usize) -> f32 {
+        self.records[self.found[at].0 as usize].target
+    }
+
+    #[inline]
+    fn domain(&self, at: usize) -> Receiver<'a> {
+        let (index, _) = self.found[at];
+        let width = self.kernels.inputs.shot.size[0];
+        let hit = self.hits[index as usize].get().expect("a surface, since it has confidence");
+        self.kernels.receiver(hit, Pixel { index, x: index % width, y: index / width })
+    }
 }
 
 type Rich = WithRadiance<WithVisibility<Plain<LightPoint>>>;
@@ -724,17 +763,7 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
         }
         counters.spatial_merges += count as u64;
         let found = &found[..count];
-        let width = self.inputs.shot.size[0];
-        let receivers: [Option<Receiver<'a>>; MAX_NEIGHBOURS] = array::from_fn(|i| {
-            let (at, _) = *found.get(i)?;
-            let pixel = Pixel { index: at, x: at % width, y: at / width };
-            Some(self.receiver(hits[at as usize].get()?, pixel))
-        });
-        let others: [Input<'_, LightPoint, Receiver<'a>, LightMeasure>; MAX_NEIGHBOURS] =
-            array::from_fn(|i| match (found.get(i), &receivers[i]) {
-                (Some((at, _)), Some(other)) => input(&records[*at as usize], other),
-                _ => input(record, receiver),
-            });
+        let others = Neighbours { kernels: self, records, hits, found };
         let canonical = input(record, receiver);
         let own_average = match P {
             policy::WIS => unpack_average(record.visibility()),
@@ -747,7 +776,7 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
             map,
             self.technique.mis,
             &canonical,
-            &others[..count],
+            &others,
             &mut reservoir,
             &mut self.stream(pixel.index, Purpose::Selection, 16 + round),
             |term| {
