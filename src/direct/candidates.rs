@@ -3,13 +3,13 @@
 use bytemuck::{Pod, Zeroable};
 use glam::{Vec2, Vec3};
 
-use super::{Receiver, Sight};
+use super::{LightMeasure, Receiver, Sight};
 use crate::accel::Ray;
 use crate::light::{EmitterPoint, LightPoint};
 use crate::math::luminance;
 use crate::math::rng::{BLOCK_LIGHT, BLOCK_SCATTER, PathSeeds, RandomSource, draw4, unit_float};
 use crate::path::Counters;
-use crate::resampling::{Plain, Reservoir};
+use crate::resampling::{ContributionWeight, Finished, Plain, Reservoir};
 use crate::world::World;
 
 /// A light point made ahead, with its emitter and density: 60 bytes.
@@ -67,9 +67,18 @@ pub struct Chosen {
     pub emitter: EmitterPoint,
     /// What the receiver makes of it.
     pub sight: Sight,
+    weight_sum: f32,
 }
 
-/// A reservoir over a receiver's candidates, numbered from `first`: wᵢ = p̂(yᵢ) / (rounds · (Mₗ pₗ + Mᵦ pᵦ)), so that W = Σw / p̂(Y). The
+/// A candidate on its way through the reservoir.
+#[derive(Clone, Copy)]
+struct Offered {
+    point: LightPoint,
+    /// Whether the point's place holds the numbers that it is drawn with, from which the place follows.
+    drawn: bool,
+}
+
+/// The chosen one of a receiver's candidates, numbered from `first`: wᵢ = p̂(yᵢ) / (rounds · (Mₗ pₗ + Mᵦ pᵦ)), so that W = Σw / p̂(Y). The
 /// density of both techniques together stands below the line (balance heuristic; Veach 1997), so it may be asked for candidates of either.
 #[inline(never)] // One call a pixel; every policy's kernel would hold a copy.
 pub fn candidates(
@@ -78,7 +87,7 @@ pub fn candidates(
     (seeds, first): (PathSeeds, u32),
     selection: &mut impl RandomSource,
     counters: &mut Counters,
-) -> (Plain<LightPoint>, Option<Chosen>) {
+) -> Option<Chosen> {
     let world = receiver.world();
     let (lights, scene) = (&world.lights, &*world.scene);
     let (surface, outgoing) = receiver.surface();
@@ -88,7 +97,7 @@ pub fn candidates(
     for candidate in 0..from.lights * from.rounds {
         let words = draw4(seeds.seed(first + candidate), 0, BLOCK_LIGHT);
         counters.candidates += 1;
-        let (point, emitter, known) = match from.tile {
+        let (offered, emitter, known) = match from.tile {
             Some(tile) => {
                 let at = (u64::from(words[0]) * tile.len() as u64) >> 32;
                 let entry = &tile[at as usize];
@@ -96,14 +105,14 @@ pub fn candidates(
                     continue;
                 }
                 let point = LightPoint { light: entry.light, uv: Vec2::from(entry.uv) };
-                (point, entry.emitter, Some(entry.density))
+                (Offered { point, drawn: false }, entry.emitter, Some(entry.density))
             }
             None => {
                 let light = lights.choose(words[0], words[1]);
-                let u = Vec2::new(unit_float(words[2]), unit_float(words[3]));
-                let point = lights.point_towards(light, surface.position, u);
-                let Some(emitter) = lights.emitter(scene, point) else { continue };
-                (point, emitter, None)
+                let uv = Vec2::new(unit_float(words[2]), unit_float(words[3]));
+                let emitter = lights.emitter_towards(scene, light, surface.position, uv);
+                let Some(emitter) = emitter else { continue };
+                (Offered { point: LightPoint { light, uv }, drawn: true }, emitter, None)
             }
         };
         let Some(arrival) = emitter.towards(lights, surface.position) else { continue };
@@ -112,11 +121,12 @@ pub fn candidates(
         if target <= 0.0 {
             continue;
         }
-        let density = known
-            .unwrap_or_else(|| lights.density_towards(point, surface.position, arrival.geometry));
+        let density = known.unwrap_or_else(|| {
+            lights.density_towards(offered.point, surface.position, arrival.geometry)
+        });
         let bsdf_density = scattered.pdf * arrival.geometry;
         let weight = target / (light_share * density + bsdf_share * bsdf_density);
-        reservoir.stream(point, weight, (), selection);
+        reservoir.stream(offered, weight, (), selection);
     }
     for candidate in 0..from.bsdf * from.rounds {
         let number = first + from.lights * from.rounds + candidate;
@@ -135,7 +145,7 @@ pub fn candidates(
                 lights.density_towards(point, surface.position, sight.arrival.geometry)
             };
             let weight = sight.target() / (light_share * density + bsdf_share * sight.bsdf_density);
-            reservoir.stream(point, weight, (), selection);
+            reservoir.stream(Offered { point, drawn: false }, weight, (), selection);
         };
         for (light, environment) in lights.environments() {
             if let Some(uv) = environment.invert(direction) {
@@ -152,11 +162,16 @@ pub fn candidates(
     }
     counters.weights_rejected += u64::from(reservoir.rejected());
     // Evaluated once more: cheaper than to carry it along with every candidate that was selected for a while.
-    let chosen = reservoir.selected().and_then(|point| {
+    let chosen = reservoir.selected().and_then(|Offered { point, drawn }| {
+        let point = if drawn {
+            lights.point_towards(point.light, surface.position, point.uv)
+        } else {
+            point
+        };
         let (sight, emitter) = receiver.look(point)?;
-        Some(Chosen { point, emitter, sight })
+        Some(Chosen { point, emitter, sight, weight_sum: reservoir.weight_sum() })
     });
-    (reservoir, chosen)
+    chosen
 }
 
 impl Chosen {
@@ -165,5 +180,18 @@ impl Chosen {
     #[must_use]
     pub fn integrand(&self) -> Vec3 {
         self.sight.integrand
+    }
+
+    /// The finished reservoir: W = Σw / p̂(Y).
+    #[inline]
+    #[must_use]
+    pub fn finish(&self, confidence: f32) -> Finished<LightPoint, LightMeasure> {
+        let weight = self.weight_sum / self.sight.target();
+        if weight > 0.0 && weight.is_finite() {
+            let weight = ContributionWeight::new(weight);
+            Finished { sample: Some(self.point), weight, confidence }
+        } else {
+            Finished::empty(confidence)
+        }
     }
 }

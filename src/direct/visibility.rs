@@ -17,9 +17,9 @@ use super::record::{pack_share, unpack_share};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Visibility {
     /// One ray at shading; targets know no visibility.
-    #[default]
     Trace,
     /// Visibility is part of every target: the best samples, many rays.
+    #[default]
     InTarget,
     /// Initial visibility is folded into W: fewer black samples, biased where pixels see different lights.
     Bitterli,

@@ -215,6 +215,36 @@ impl Lights {
         }
     }
 
+    /// The emitter of [`Lights::point_towards`] without the detour over u and v, to rounding.
+    #[inline]
+    #[must_use]
+    pub fn emitter_towards(
+        &self,
+        scene: &Scene,
+        light: u32,
+        from: Vec3,
+        u: Vec2,
+    ) -> Option<EmitterPoint> {
+        let record = &self.lights[light as usize];
+        let Surface::Sphere { center, radius, outward } = record.surface else {
+            return self.emitter(scene, self.point_with(light, u));
+        };
+        if !outside_sphere(from, center, radius) {
+            return self.emitter(scene, LightPoint { light, uv: u });
+        }
+        let position = sample_sphere_cone(from, center, radius, u)?;
+        let normal = (position - center) / radius;
+        let radiance = scene.color(record.radiance, record.uv_on_sphere(normal)) * record.scale;
+        let kind = if record.two_sided { kind::TWO_SIDED } else { kind::ONE_SIDED };
+        (radiance != Vec3::ZERO).then(|| EmitterPoint {
+            position: position.to_array(),
+            normal: (normal * outward).to_array(),
+            radiance: radiance.to_array(),
+            kind,
+            light,
+        })
+    }
+
     /// Density of [`Lights::point_towards`] at a point whose arrival has `geometry`, the choice of the light included, in the light's measure.
     #[inline]
     #[must_use]
@@ -350,6 +380,11 @@ mod tests {
                 let (Some(incident), Some(arrival)) = (incident, arrival) else {
                     continue;
                 };
+                let direct = lights.emitter_towards(&scene, light, from, u).unwrap();
+                let same = direct.towards(&lights, from).unwrap();
+                assert!(
+                    (same.radiance - arrival.radiance).length() <= 2e-3 * same.radiance.length()
+                );
                 if incident.radiance == Vec3::ZERO || incident.pdf > 1e3 {
                     continue;
                 }

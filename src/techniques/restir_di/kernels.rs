@@ -260,11 +260,11 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
                     for estimate in 0..shot.effort {
                         let mut selection = self.stream(pixel.index, Purpose::Selection, estimate);
                         let first = (seeds, estimate * each);
-                        let (reservoir, chosen) =
+                        let chosen =
                             candidates(&receiver, &sources, first, &mut selection, &mut counters);
                         sum += match chosen {
                             Some(chosen) if self.sees(&receiver, &chosen, &mut counters) => {
-                                let weight = reservoir.weight_sum() / chosen.sight.target();
+                                let weight = chosen.finish(1.0).weight.get();
                                 finite_or_counted(chosen.integrand() * weight, &mut counters)
                             }
                             Some(_) => Vec3::ZERO,
@@ -328,7 +328,7 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
                 if receiver.scatters() {
                     let seeds = PathSeeds::new(shot.run, pixel.index, self.inputs.frame);
                     let mut selection = self.stream(pixel.index, Purpose::Selection, 0);
-                    let (reservoir, chosen) = candidates(
+                    let chosen = candidates(
                         &receiver,
                         &self.sources(shot.effort, pixel),
                         (seeds, 0),
@@ -336,8 +336,7 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
                         &mut counters,
                     );
                     let target = chosen.map_or(0.0, |c| c.sight.target());
-                    let mut finished: Finished<LightPoint, LightMeasure> =
-                        reservoir.finish(target, 1.0);
+                    let mut finished = chosen.map_or(Finished::empty(1.0), |c| c.finish(1.0));
                     let mut kept = 0;
                     match chosen.filter(|_| finished.sample.is_some()) {
                         Some(chosen) if P != policy::TRACE => {
