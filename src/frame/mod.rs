@@ -101,6 +101,8 @@ pub struct FrameLoop {
     previous: Option<Arc<World>>,
     buffers: Vec<Buffer>,
     next_frame: u32,
+    /// Of the last frame; kept so that a frame allocates nothing.
+    passes: Vec<(&'static str, f64)>,
 }
 
 /// One rendered frame, borrowed from the loop.
@@ -112,7 +114,7 @@ pub struct Frame<'a> {
     /// Work done in this frame.
     pub counters: Counters,
     /// Milliseconds of each pass that ran, in order; the scene's update comes first where anything moves.
-    pub passes: Vec<(&'static str, f64)>,
+    pub passes: &'a [(&'static str, f64)],
 }
 
 impl FrameLoop {
@@ -159,6 +161,7 @@ impl FrameLoop {
             previous: None,
             buffers,
             next_frame: 0,
+            passes: Vec::new(),
         })
     }
 
@@ -239,9 +242,10 @@ impl FrameLoop {
         if let Some(world) = moved {
             self.world = world;
         }
-        let mut passes = Vec::with_capacity(self.plan.passes.len() + 1);
+        self.passes.clear();
+        self.passes.reserve(self.plan.passes.len() + 1);
         if let Some(elapsed) = updated {
-            passes.push(("scene update", elapsed.as_secs_f64() * 1e3));
+            self.passes.push(("scene update", elapsed.as_secs_f64() * 1e3));
         }
         let camera = self.world.scene.camera.rays(self.shot.size);
         if self.plan.emitters {
@@ -286,10 +290,10 @@ impl FrameLoop {
                     }
                 });
             counters = counters + work;
-            passes.push((pass.name, begin.elapsed().as_secs_f64() * 1e3));
+            self.passes.push((pass.name, begin.elapsed().as_secs_f64() * 1e3));
         }
         self.next_frame = self.next_frame.wrapping_add(1);
-        Ok(Frame { frame_loop: self, index, counters, passes })
+        Ok(Frame { frame_loop: self, index, counters, passes: &self.passes })
     }
 
     fn picture(&self, id: BufferId) -> Picture {

@@ -33,8 +33,8 @@ use crate::techniques::{Band, Entry, FrameInputs, Parameter, Technique, Values};
 
 /// Most neighbours a round.
 pub const MAX_NEIGHBOURS: usize = 8;
-/// Tiles of light points, and lights from which they pay.
-const TILES: u32 = 128;
+/// Pixels for each light point made ahead, and lights from which that pays.
+const PIXELS_A_TILE_ENTRY: usize = 4;
 const LIGHTS_FOR_TILES: u32 = 4096;
 /// Width and height in pixels of the blocks that share a tile of light points.
 const TILE_BLOCK: u32 = 8;
@@ -591,8 +591,11 @@ impl<'a> Planner<'a> {
                 LightTiles::Off => false,
                 LightTiles::Auto => lights >= LIGHTS_FOR_TILES,
             };
+        let mut tile_count = 0;
         if tiles {
-            let items = TILES * crate::direct::TILE;
+            let entries = shot.pixels().div_ceil(PIXELS_A_TILE_ENTRY) as u32;
+            tile_count = entries.div_ceil(crate::direct::TILE).max(1);
+            let items = tile_count * crate::direct::TILE;
             self.buffers.push(BufferPlan {
                 name: buffer::TILES,
                 bytes: size_of::<crate::direct::TileEntry>() as u32,
@@ -613,7 +616,7 @@ impl<'a> Planner<'a> {
             ("still", self.still.into()),
             ("bsdf samples", if with_bsdf { bsdf } else { 0 }),
             ("emitting surfaces", surfaces.into()),
-            ("light tiles", tiles.into()),
+            ("light tiles", tile_count),
         ];
 
         if resampled && !reuse {

@@ -2,7 +2,7 @@
 
 use glam::{Vec2, Vec3};
 
-use super::{BOILING_TILE, MAX_NEIGHBOURS, RestirDi, TILE_BLOCK, TILES, buffer, kernel};
+use super::{BOILING_TILE, MAX_NEIGHBOURS, RestirDi, TILE_BLOCK, buffer, kernel};
 use crate::accel::{Hit, HitFilter};
 use crate::direct::{
     Candidates, Chosen, Control, LightMeasure, LightPointMutator, LightPoints, Receiver, Record,
@@ -217,12 +217,13 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
     /// Where candidates come from; `effort` units of them.
     fn sources(&self, effort: u32, pixel: Pixel) -> Candidates<'a> {
         let plan = self.inputs.plan;
-        let tile = (plan.constant("light tiles") != 0).then(|| {
+        let tiles = plan.constant("light tiles");
+        let tile = (tiles != 0).then(|| {
             let entries: &[TileEntry] = self.inputs.read(self.id(buffer::TILES));
             let columns = self.inputs.shot.size[0].div_ceil(TILE_BLOCK);
             let block = pixel.y / TILE_BLOCK * columns + pixel.x / TILE_BLOCK;
             // Which tile a block takes; the tiles' own numbers come from round 1 of the same purpose.
-            let tile = self.stream(block, Purpose::LightTile, 0).index(TILES);
+            let tile = self.stream(block, Purpose::LightTile, 0).index(tiles);
             &entries[(tile * TILE) as usize..((tile + 1) * TILE) as usize]
         });
         Candidates {
