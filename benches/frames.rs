@@ -1,13 +1,15 @@
-//! One steady frame of every technique, 128 × 128 pixels: `frames/SCENE/TECHNIQUE`, in pixels a second.
+//! One steady frame of every technique, 128 × 128 pixels: `frames/SCENE/TECHNIQUE`, in pixels a second; and what leaving things out gains:
+//! `skips/WHAT/with` against `skips/WHAT/without`, the same picture by the general plan and by the one that the scene allows.
 
 use std::path::Path;
 use std::sync::Arc;
 
 use afterimage::frame::{FrameLoop, Stage};
 use afterimage::plan::{Filter, Shot};
-use afterimage::scene::load;
+use afterimage::scene::{Light, LightKind, Transform, generate, load};
 use afterimage::techniques::{REGISTRY, parse};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use glam::{Affine3A, Vec3};
 
 const SIZE: [u32; 2] = [128, 128];
 
@@ -35,5 +37,68 @@ fn frames(criterion: &mut Criterion) {
     }
 }
 
-criterion_group!(benches, frames);
+/// The general plan and the specialised one give the same picture (`tests/suite/elision.rs`); here is what it costs.
+fn skips(criterion: &mut Criterion) {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let cornell =
+        || load::load(&root.join("scenes/cornell.pbrt")).expect("our own scene loads").scene;
+    let many = || generate("many-lights:20000").expect("a generator");
+    // A scene of one light, for which there is nothing to resample.
+    let lamp = || {
+        let mut scene = cornell();
+        for object in &mut scene.objects {
+            Arc::make_mut(object).shapes.iter_mut().for_each(|shape| shape.emission = None);
+        }
+        let kind = LightKind::Point { intensity: Vec3::splat(5.0) };
+        let to_world = Transform::Fixed(Affine3A::from_translation(Vec3::new(0.0, 1.5, 0.0)));
+        scene.lights.push(Light { to_world, kind, key: 1 });
+        scene
+    };
+    let two_lamps = || {
+        let mut scene = lamp();
+        let second = Light { key: 2, ..scene.lights[0].clone() };
+        scene.lights.push(second);
+        scene
+    };
+    // What is measured, its stage, SPEC and depth: as the scene allows, then in general.
+    let pairs = [
+        (
+            "motion",
+            [(Stage::new(cornell()), "restir-di", 2), (Stage::moving(cornell()), "restir-di", 2)],
+        ),
+        (
+            "light-tiles",
+            [
+                (Stage::new(many()), "restir-di:tiles=off", 2),
+                (Stage::new(many()), "restir-di:tiles=on", 2),
+            ],
+        ),
+        (
+            "one-light",
+            [(Stage::new(lamp()), "restir-di", 2), (Stage::new(two_lamps()), "restir-di", 2)],
+        ),
+        (
+            "other-light",
+            [(Stage::new(cornell()), "restir-di", 2), (Stage::new(cornell()), "restir-di", 3)],
+        ),
+    ];
+    for (what, sides) in pairs {
+        let mut group = criterion.benchmark_group(format!("skips/{what}"));
+        group.throughput(Throughput::Elements(u64::from(SIZE[0] * SIZE[1]))).sample_size(20);
+        for (name, (stage, spec, depth)) in ["without", "with"].into_iter().zip(sides) {
+            let technique = Arc::from(parse(spec).expect("a specification"));
+            let shot =
+                Shot { size: SIZE, depth, filter: Filter::Point, run: 1, effort: 1, fps: 30 };
+            let stage = stage.expect("a stage");
+            let mut frames = FrameLoop::new(technique, &stage, shot).expect("a valid shot");
+            frames.render().expect("a frame");
+            group.bench_function(name, |bencher| {
+                bencher.iter(|| frames.render().expect("a frame").counters);
+            });
+        }
+        group.finish();
+    }
+}
+
+criterion_group!(benches, frames, skips);
 criterion_main!(benches);
