@@ -9,6 +9,7 @@ mod laws;
 mod layering;
 mod loaders;
 mod metamorphic;
+mod mutations;
 mod oracles;
 mod planted;
 mod references;
