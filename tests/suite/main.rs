@@ -11,6 +11,8 @@ mod loaders;
 mod metamorphic;
 mod oracles;
 mod planted;
+mod planted_reuse;
 mod references;
+mod reuse;
 mod stress;
 mod support;
