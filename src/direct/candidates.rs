@@ -30,6 +30,9 @@ pub(crate) const TILE: u32 = 256;
 #[must_use]
 pub fn fill_tile(world: &World, words: [u32; 4], counters: &mut Counters) -> TileEntry {
     counters.tile_entries += 1;
+    if world.lights.is_empty() {
+        return TileEntry::zeroed();
+    }
     let light = world.lights.choose(words[0], words[1]);
     let point = LightPoint { light, uv: Vec2::new(unit_float(words[2]), unit_float(words[3])) };
     match world.lights.emitter(&world.scene, point) {
@@ -92,6 +95,10 @@ pub fn candidates(
     let (lights, scene) = (&world.lights, &*world.scene);
     let (surface, outgoing) = receiver.surface();
     let mut reservoir = Plain::default();
+    if lights.is_empty() {
+        // A host may switch off all lights of a scene that was planned with some.
+        return None;
+    }
     let (light_share, bsdf_share) =
         ((from.lights * from.rounds) as f32, (from.bsdf * from.rounds) as f32);
     for candidate in 0..from.lights * from.rounds {

@@ -18,6 +18,8 @@ mod control;
 mod mutate;
 mod receiver;
 mod record;
+#[cfg(test)]
+mod tests;
 mod visibility;
 
 pub(crate) use candidates::TILE;

@@ -164,9 +164,10 @@ impl<'a, F: HitFilter, const IN_TARGET: bool> LightPoints<'a, F, IN_TARGET> {
             (Some(remap), Time::Before) => remap.to_previous(point.light)?,
         };
         let (here, there) = (&from.world.lights, &to.world.lights);
-        let jacobian = there.scaling(light, here, point.light);
+        let moved = LightPoint { light, ..point };
+        let jacobian = there.scaling(moved, here, point);
         (there.same_kind(light, here, point.light) && jacobian > 0.0 && jacobian.is_finite())
-            .then_some((LightPoint { light, ..point }, jacobian))
+            .then_some((moved, jacobian))
     }
 }
 

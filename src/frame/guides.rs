@@ -4,6 +4,7 @@ use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
 use crate::accel::Ray;
+use crate::techniques::Motion;
 use crate::world::World;
 
 /// Layers through pixel centres, row by row.
@@ -27,6 +28,7 @@ impl Guides {
     #[must_use]
     pub fn new(world: &World, previous: Option<&World>, size: [u32; 2]) -> Self {
         let rays = world.scene.camera.rays(size);
+        let motion = previous.map(|previous| (previous, Motion::new(previous, world, size)));
         let pixels: Vec<(Vec3, Vec3, f32, Vec2)> = (0..size[0] * size[1])
             .into_par_iter()
             .map(|pixel| {
@@ -41,17 +43,11 @@ impl Guides {
                     return (Vec3::ZERO, Vec3::ZERO, f32::INFINITY, Vec2::ZERO);
                 };
                 let surface = world.surface(&hit);
-                let motion = previous
-                    .and_then(|previous| {
-                        let instance = previous
-                            .scene
-                            .instances
-                            .get(world.accel.point(&hit).instance as usize)?;
-                        let then = world.accel.point_under(&hit, instance.to_world.fixed());
-                        previous.scene.camera.project(then, size)
-                    })
-                    .map_or(Vec2::ZERO, |then| then - at);
-                (surface.bsdf.albedo(), surface.frame.normal, hit.t, motion)
+                let moved = motion.as_ref().and_then(|(previous, motion)| {
+                    motion.projection.project(motion.position(previous, world, &hit)?)
+                });
+                let moved = moved.map_or(Vec2::ZERO, |then| then - at);
+                (surface.bsdf.albedo(), surface.frame.normal, hit.t, moved)
             })
             .collect();
         Self {

@@ -56,6 +56,12 @@ pub struct Arrival {
 }
 
 impl EmitterPoint {
+    /// Where it is; for light from infinity the unit direction to it.
+    #[cfg(test)]
+    pub(crate) fn place(&self) -> Vec3 {
+        self.position.into()
+    }
+
     /// What arrives at `from`; `None` where nothing does.
     #[inline]
     #[must_use]
@@ -167,16 +173,21 @@ impl Lights {
         }
     }
 
-    /// |∂T/∂y| of a light point that keeps its place on a light which was `then` and is `now`: the ratio of areas.
+    /// |∂T/∂y| of a light point that was `then` and keeps its place on the light, `now`: the ratio of areas, of densities for environments, whose
+    /// image may be another one.
     #[inline]
     #[must_use]
-    pub fn scaling(&self, now: u32, before: &Self, then: u32) -> f32 {
-        let (now, then) = (self.lights[now as usize].surface, before.lights[then as usize].surface);
-        match (now, then) {
+    pub fn scaling(&self, now: LightPoint, before: &Self, then: LightPoint) -> f32 {
+        let surface =
+            |lights: &Self, point: LightPoint| lights.lights[point.light as usize].surface;
+        match (surface(self, now), surface(before, then)) {
+            (Surface::Environment { .. }, Surface::Environment { .. }) => {
+                self.measure(now) / before.measure(then)
+            }
             (
                 Surface::Triangle { .. } | Surface::Sphere { .. } | Surface::Disk { .. },
                 Surface::Triangle { .. } | Surface::Sphere { .. } | Surface::Disk { .. },
-            ) => area(now) / area(then),
+            ) => self.measure(now) / before.measure(then),
             _ => 1.0,
         }
     }

@@ -12,6 +12,8 @@ mod metamorphic;
 mod mutations;
 mod oracles;
 mod planted;
+mod planted_reuse;
 mod references;
+mod reuse;
 mod stress;
 mod support;

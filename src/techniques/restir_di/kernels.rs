@@ -984,7 +984,8 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
                     sum += finite_or_counted(path, &mut counters);
                 }
             }
-            let mean = sum / shot.effort as f32;
+            // As `nee` does it, whose bits these are where there is one light.
+            let mean = sum * (1.0 / shot.effort as f32);
             *out = if ALL { mean } else { Vec3::from(*out) + mean }.to_array();
         }
         counters
