@@ -526,11 +526,9 @@ fn l10_emitters_from_behind_and_emitters_that_reflect() {
     let mut scene = set();
     scene.lights.clear();
     // Both lamps face away from all that is seen.
-    let up = |half: f32| {
-        let c = |x: f32, z: f32| Vec3::new(half * x, 2.0, half * z);
-        polygon(&[c(-1.0, -1.0), c(-1.0, 1.0), c(1.0, 1.0), c(1.0, -1.0)])
-    };
-    Arc::make_mut(&mut scene.objects[LAMP]).shapes[0].geometry = up(0.4);
+    let c = |x: f32, z: f32| Vec3::new(0.4 * x, 2.0, 0.4 * z);
+    let up = polygon(&[c(-1.0, -1.0), c(-1.0, 1.0), c(1.0, 1.0), c(1.0, -1.0)]);
+    Arc::make_mut(&mut scene.objects[LAMP]).shapes[0].geometry = up;
     scene.instances.truncate(LAMP + 1);
     let stage = Stage::new(scene).unwrap();
     for keys in CONFIGURATIONS {
