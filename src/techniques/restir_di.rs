@@ -68,7 +68,7 @@ const PARAMETERS: &[Parameter] = &[
     Parameter {
         key: "radius",
         about: "how far away they are at most, in pixels, in [1, 1000]; more is less correlation, and more neighbours that do not fit",
-        default: "30",
+        default: "16",
     },
     Parameter { key: "rounds", about: "rounds of spatial reuse, in [1, 8]", default: "1" },
     Parameter {

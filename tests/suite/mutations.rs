@@ -13,6 +13,9 @@ use glam::Vec3;
 
 use crate::support::{last_frame, shot};
 
+/// Restarts of each SPEC.
+const RESTARTS: u64 = 48;
+
 /// Frame 30 of `restarts` runs, the same seeds for every SPEC.
 fn pictures(stage: &Stage, spec: &str, size: [u32; 2], restarts: u64) -> Vec<Picture> {
     let technique = Arc::from(parse(spec).unwrap());
@@ -31,7 +34,7 @@ fn pictures(stage: &Stage, spec: &str, size: [u32; 2], restarts: u64) -> Vec<Pic
 fn truth(stage: &Stage, size: [u32; 2]) -> Picture {
     let mut sum = vec![Vec3::ZERO; (size[0] * size[1]) as usize];
     for run in 0..8 {
-        let shot = afterimage::plan::Shot { run: 90 + run, effort: 1024, ..shot(size, 2, 1) };
+        let shot = afterimage::plan::Shot { run: 90 + run, effort: 128, ..shot(size, 2, 1) };
         let (picture, _) = last_frame(stage, "nee", shot, 1);
         sum.iter_mut().zip(&picture.pixels).for_each(|(s, p)| *s += *p / 8.0);
     }
@@ -48,15 +51,15 @@ fn covariance_falls_and_the_error_stays() {
     for scene in ["plates", "cornell"] {
         let path = root.join("scenes").join(scene).with_extension("pbrt");
         let stage = Stage::new(load::load(&path).unwrap().scene).unwrap();
-        let size = [80, 64];
+        let size = [64, 48];
         let truth = truth(&stage, size);
         let mse = |p: &Picture| Comparison::new(p, &truth, None).unwrap().mse();
         let base = "restir-di:cap=50,neighbours=3";
-        let without = pictures(&stage, base, size, 100);
+        let without = pictures(&stage, base, size, RESTARTS);
         let first = covariance_r8(&without, &truth, None).unwrap();
         println!("{scene} n = 0: covariance {:.4e} {:?}", first.mean, first.interval(0.95));
         for n in [1, 5] {
-            let with = pictures(&stage, &format!("{base},mutations={n}"), size, 100);
+            let with = pictures(&stage, &format!("{base},mutations={n}"), size, RESTARTS);
             let covariance = covariance_r8(&with, &truth, None).unwrap();
             let ratio: Moments =
                 without.iter().zip(&with).map(|(a, b)| mse(b) / mse(a) - 1.0).collect();
