@@ -2,7 +2,8 @@
 //! against each other and against path tracing.
 //!
 //! A scene file or a host's own data becomes a [`scene::Scene`]; [`frame::Stage`] makes it ready for rays; [`frame::FrameLoop`] renders it frame
-//! after frame with any [`techniques::Technique`]. Two techniques exist: `nee` (path tracing with light sampling, the reference) and `bsdf`.
+//! after frame with any [`techniques::Technique`]: `nee` (path tracing with light sampling, the reference), `bsdf`, `ris` and `restir-di` (direct light
+//! by resampling, without and with reuse).
 //!
 //! | module | holds |
 //! |---|---|
