@@ -109,7 +109,7 @@ proptest! {
             let mut random = Stream::from_key(key);
             let mut asked = 0;
             let mut infinite = 0;
-            let out = spatial(&mut Told(&neighbours), family, &canonical, &others, &mut reservoir, &mut random, |term| {
+            let out = spatial(&mut Told(&neighbours), family, &canonical, others.as_slice(), &mut reservoir, &mut random, |term| {
                 asked += 1;
                 infinite += u32::from(!term.weight.is_finite());
                 ((), 0.5)

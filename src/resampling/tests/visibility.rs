@@ -96,8 +96,14 @@ impl Pixel {
         }
         let inputs: Vec<_> = others.iter().map(input).collect();
         let mut reservoir = Averaging::default();
-        let merged =
-            spatial(&mut map, family, &input(self), &inputs, &mut reservoir, random, |term| {
+        let merged = spatial(
+            &mut map,
+            family,
+            &input(self),
+            inputs.as_slice(),
+            &mut reservoir,
+            random,
+            |term| {
                 let light = term.shifted.map_or(self.finished.sample, |s| Some(s.sample)).unwrap();
                 let average = match term.input {
                     0 => self.average,
@@ -105,7 +111,8 @@ impl Pixel {
                     _ => self.receiver.visible[light],
                 };
                 (((), average), self.receiver.shadowed(light) * term.contribution)
-            });
+            },
+        );
         let total = merged.finished.confidence;
         let mut correction = Vec3::ZERO;
         for pixel in others[..chained].iter().chain([self]) {
