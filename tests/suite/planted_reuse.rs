@@ -14,8 +14,8 @@ use afterimage::math::luminance;
 use afterimage::math::rng::{BLOCK_LIGHT, PathSeeds, RandomSource, Stream, draw4, unit_float};
 use afterimage::path::Counters;
 use afterimage::resampling::{
-    ContributionWeight, Family, Finished, Input, Plain, ShiftMap, Shifted,
-    WithVisibility, metropolis, mutated_weight, spatial,
+    ContributionWeight, Family, Finished, Input, Plain, ShiftMap, Shifted, WithVisibility,
+    metropolis, mutated_weight, spatial,
 };
 use afterimage::scene::{
     Color, ConductorColor, Geometry, LightKind, Material, Roughness, Scene, Shape,

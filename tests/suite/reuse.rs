@@ -971,7 +971,7 @@ fn stages_that_are_off_do_no_work() {
     let nothing = off("neighbours=0,cap=0");
     assert_eq!((nothing.spatial_merges, nothing.temporal_merges, nothing.shifts), (0, 0, 0));
     // Where p̂ is 0 everywhere, W is, and no ray is asked for.
-    let shaded = off("");
+    let shaded = off("visibility=trace");
     assert!(shaded.shadow_rays + shaded.shadow_rays_saved <= pixels, "{shaded:?}");
     // Point lights alone: no direction finds them.
     let mut points = set();
@@ -1084,9 +1084,12 @@ fn r10_what_is_merged_does_not_know_the_samples() {
         let mut base = course.base.clone();
         change(&mut base);
         let changed = Course { base, at: course.at };
-        let mut frames =
-            FrameLoop::new(Arc::from(parse(&with("")).unwrap()), &changed.stage(), small())
-                .unwrap();
+        let mut frames = FrameLoop::new(
+            Arc::from(parse(&with("neighbours=3")).unwrap()),
+            &changed.stage(),
+            small(),
+        )
+        .unwrap();
         (0..4)
             .map(|i| {
                 let work = frames.render_scene(changed.frame(i)).unwrap().counters;

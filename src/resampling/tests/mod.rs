@@ -4,6 +4,7 @@ mod laws;
 mod merging;
 mod mutation;
 mod numerics;
+mod toy;
 mod visibility;
 
 use super::{ContributionWeight, Counting, Finished, Input, Plain, Reservoir, ShiftMap, Shifted};
