@@ -201,7 +201,8 @@ pub(super) fn run(args: &CompareArgs) -> Result<Status> {
             contender.warmup = vec![Moments::new(); args.frames as usize];
         }
     }
-    match restarts(&mut contenders, judged, args, &truth, &guides) {
+    let moves = engine.stage.facts().moves();
+    match restarts(&mut contenders, (judged, moves), args, &truth, &guides) {
         Ok(()) => {}
         Err(error)
             if error.is_interrupted() && contenders.iter().all(|c| c.restarts.count() > 0) =>
@@ -382,7 +383,7 @@ fn judged_picture(
 /// All restarts of all techniques.
 fn restarts(
     contenders: &mut [Contender],
-    judged: Judged,
+    (judged, moves): (Judged, bool),
     args: &CompareArgs,
     truth: &Picture,
     guides: &Guides,
@@ -393,6 +394,10 @@ fn restarts(
     for index in 0..args.restarts {
         for contender in contenders.iter_mut() {
             progress.say(&contender.spec);
+            // Without history and motion all frames have one law: a first and a steady one give picture and times.
+            let all = moves || !contender.warmup.is_empty();
+            let needed = if all { judged.frames } else { needed_frames(contender, judged).max(2) };
+            let judged = Judged { frames: judged.frames.min(needed), ..judged };
             let Contender {
                 number,
                 frames,
@@ -458,7 +463,7 @@ fn restarts(
     Ok(())
 }
 
-/// Error against time: each technique at a quarter to four times its effort.
+/// Error against time: each technique at a quarter to twice its effort, or at one to four times an effort of 1.
 fn curves(
     engine: &Engine,
     contenders: &[Contender],
@@ -467,14 +472,13 @@ fn curves(
     truth: &Picture,
 ) -> Result<Vec<Curve>> {
     let efforts_of = |effort: u32| {
-        let mut efforts = vec![
-            effort.div_ceil(4),
-            effort.div_ceil(2),
-            effort,
-            effort.saturating_mul(2),
-            effort.saturating_mul(4),
-        ];
+        let mut efforts =
+            vec![effort.div_ceil(4), effort.div_ceil(2), effort, effort.saturating_mul(2)];
         efforts.dedup();
+        // A line needs three points; four times the effort takes as long as all others together.
+        if efforts.len() < 3 {
+            efforts.push(effort.saturating_mul(4));
+        }
         efforts
     };
     let steps: usize = contenders.iter().map(|c| efforts_of(c.effort).len() - 1).sum();

@@ -169,7 +169,7 @@ pub fn candidates(
     }
     counters.weights_rejected += u64::from(reservoir.rejected());
     // Evaluated once more: cheaper than to carry it along with every candidate that was selected for a while.
-    let chosen = reservoir.selected().and_then(|Offered { point, drawn }| {
+    reservoir.selected().and_then(|Offered { point, drawn }| {
         let point = if drawn {
             lights.point_towards(point.light, surface.position, point.uv)
         } else {
@@ -177,8 +177,7 @@ pub fn candidates(
         };
         let (sight, emitter) = receiver.look(point)?;
         Some(Chosen { point, emitter, sight, weight_sum: reservoir.weight_sum() })
-    });
-    chosen
+    })
 }
 
 impl Chosen {
