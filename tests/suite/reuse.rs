@@ -405,7 +405,7 @@ fn claims_hold_while_an_occluder_moves() {
 
 #[test]
 #[ignore = "slow: 20 minutes; every configuration, ages to 20, δ = 1 %"]
-fn claims_hold_at_high_ages() {
+fn long_claims_hold_at_high_ages() {
     for (name, course) in [
         ("still", still()),
         ("camera", moving_camera()),
