@@ -16,13 +16,13 @@ use crate::support::{last_frame, shot};
 /// Restarts of each SPEC.
 const RESTARTS: u64 = 48;
 
-/// Frame 30 of `restarts` runs, the same seeds for every SPEC.
-fn pictures(stage: &Stage, spec: &str, size: [u32; 2], restarts: u64) -> Vec<Picture> {
+/// Frame 30 of [`RESTARTS`] runs from `first` on, so that SPECs can be compared with the same seeds.
+fn pictures(stage: &Stage, spec: &str, size: [u32; 2], first: u64) -> Vec<Picture> {
     let technique = Arc::from(parse(spec).unwrap());
     let mut frames = FrameLoop::new(technique, stage, shot(size, 2, 1)).unwrap();
-    (0..restarts)
+    (0..RESTARTS)
         .map(|run| {
-            frames.restart(7000 + run);
+            frames.restart(first + run);
             for _ in 1..30 {
                 frames.render().unwrap();
             }
@@ -41,37 +41,46 @@ fn truth(stage: &Stage, size: [u32; 2]) -> Picture {
     Picture::new(size[0], size[1], sum)
 }
 
-/// The relative covariance within 8 pixels falls for 1 and 5 mutations, beyond both 95 % intervals; the mean squared error, paired by seed, is
-/// equivalent within ± 3 % (99 % interval). On `plates`, whose glossy plates choose few light points, with a long history, so that
-/// correlation shows. The control: twice the neighbours instead of mutations does not lower the covariance that much.
+/// On `cornell` with a long history, where correlation shows, the relative covariance within 8 pixels falls for 1 and 5 mutations, beyond
+/// both 95 % intervals; the mean squared error, paired by seed, does not rise by 3 % (99 % interval). The control, other seeds without
+/// mutations, must not look like a fall. On `plates` mutations change neither: printed, not asserted.
 #[test]
-#[ignore = "slow: 3 minutes"]
-fn covariance_falls_and_the_error_stays() {
+#[ignore = "slow: 90 s"]
+fn covariance_falls_and_the_error_does_not_rise() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    for scene in ["plates", "cornell"] {
+    for scene in ["cornell", "plates"] {
         let path = root.join("scenes").join(scene).with_extension("pbrt");
         let stage = Stage::new(load::load(&path).unwrap().scene).unwrap();
         let size = [64, 48];
         let truth = truth(&stage, size);
         let mse = |p: &Picture| Comparison::new(p, &truth, None).unwrap().mse();
         let base = "restir-di:cap=50,neighbours=3";
-        let without = pictures(&stage, base, size, RESTARTS);
-        let first = covariance_r8(&without, &truth, None).unwrap();
-        println!("{scene} n = 0: covariance {:.4e} {:?}", first.mean, first.interval(0.95));
+        let without = pictures(&stage, base, size, 7000);
+        let reference = covariance_r8(&without, &truth, None).unwrap();
+        let (least, _) = reference.interval(0.95);
+        println!("{scene} n = 0: covariance {:.3e}, at least {least:.3e}", reference.mean);
         for n in [1, 5] {
-            let with = pictures(&stage, &format!("{base},mutations={n}"), size, RESTARTS);
+            let with = pictures(&stage, &format!("{base},mutations={n}"), size, 7000);
             let covariance = covariance_r8(&with, &truth, None).unwrap();
+            let (_, most) = covariance.interval(0.95);
             let ratio: Moments =
                 without.iter().zip(&with).map(|(a, b)| mse(b) / mse(a) - 1.0).collect();
             let (low, high) = ratio.estimate().interval(0.99);
             println!(
-                "{scene} n = {n}: covariance {:.4e} {:?} ({:+.1} %), mse {:+.2} % [{:+.2}, {:+.2}]",
+                "{scene} n = {n}: covariance {:.3e} ({:+.1} %), at most {most:.3e}; mse {:+.1} % [{:+.1}, {:+.1}]",
                 covariance.mean,
-                covariance.interval(0.95),
-                100.0 * (covariance.mean / first.mean - 1.0),
+                100.0 * (covariance.mean / reference.mean - 1.0),
                 100.0 * ratio.mean(),
                 100.0 * low,
                 100.0 * high
+            );
+            assert!(scene != "cornell" || (most < least && high < 0.03), "{scene}, {n} mutations");
+        }
+        if scene == "cornell" {
+            let control = covariance_r8(&pictures(&stage, base, size, 9000), &truth, None).unwrap();
+            assert!(
+                control.interval(0.95).1 >= least,
+                "the control looks like a fall: {control:?}"
             );
         }
     }
