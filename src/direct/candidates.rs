@@ -9,7 +9,7 @@ use crate::light::{EmitterPoint, LightPoint};
 use crate::math::luminance;
 use crate::math::rng::{BLOCK_LIGHT, BLOCK_SCATTER, PathSeeds, RandomSource, draw4, unit_float};
 use crate::path::Counters;
-use crate::resampling::{ContributionWeight, Finished, Plain, Reservoir};
+use crate::resampling::{Finished, Plain, Reservoir};
 use crate::world::World;
 
 /// A light point made ahead, with its emitter and density: 60 bytes.
@@ -192,12 +192,6 @@ impl Chosen {
     #[inline]
     #[must_use]
     pub fn finish(&self, confidence: f32) -> Finished<LightPoint, LightMeasure> {
-        let weight = self.weight_sum / self.sight.target();
-        if weight > 0.0 && weight.is_finite() {
-            let weight = ContributionWeight::new(weight);
-            Finished { sample: Some(self.point), weight, confidence }
-        } else {
-            Finished::empty(confidence)
-        }
+        Finished::from_sum(Some(self.point), self.weight_sum, self.sight.target(), 1.0, confidence)
     }
 }

@@ -18,16 +18,17 @@ pub struct Control {
 const BIAS: i32 = 1 << 14;
 
 impl Control {
-    /// Rounds to nearest; zero and not finite estimates are kept as 0.
+    /// Rounds to nearest. The estimate must be finite ([`crate::path::finite_or_counted`]).
     #[inline]
     #[must_use]
     pub fn new(estimate: Vec3, visible: bool) -> Self {
+        debug_assert!(estimate.is_finite(), "an estimate to be kept is {estimate}");
         let largest = estimate.abs().max_element();
         let visible = u16::from(visible) << 15;
-        if largest == 0.0 || !estimate.is_finite() {
+        if largest == 0.0 {
             return Self { mantissas: [0; 3], flags: visible | BIAS as u16 };
         }
-        // largest < 2^exponent, so mantissas stay below 2^15.
+        // largest < 2^exponent, so mantissas are below 2^15, or round to it, which does not fit.
         let exponent = exponent_above(largest);
         let scale = f64::from(15 - exponent).exp2();
         let mantissas = estimate
@@ -80,7 +81,6 @@ mod tests {
         }
         assert_eq!(Control::new(Vec3::ZERO, false).estimate(), Vec3::ZERO);
         assert!(!Control::new(Vec3::ONE, false).visible());
-        assert_eq!(Control::new(Vec3::splat(f32::NAN), false).estimate(), Vec3::ZERO);
         assert_eq!(Control::zeroed().estimate().max_element(), 0.0);
         assert!(Control::new(Vec3::splat(f32::MAX), true).estimate().is_finite());
     }

@@ -28,5 +28,5 @@ pub use control::Control;
 pub use mutate::{LightPointMutator, PointState};
 pub use receiver::{LightMeasure, LightPoints, Receiver, Sight, Time};
 pub use record::Record;
-pub use visibility::{Reused, Visibility};
+pub use visibility::{REUSE_AGE, REUSE_DISTANCE, Reused, Visibility};
 pub(crate) use visibility::{pack_average, unpack_average};

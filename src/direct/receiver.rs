@@ -4,7 +4,7 @@ use std::cell::OnceCell;
 
 use glam::Vec3;
 
-use crate::accel::{Hit, HitFilter};
+use crate::accel::{AcceptAll, Hit, HitFilter};
 use crate::light::{Arrival, EmitterPoint, LightPoint, LightRemap};
 use crate::math::luminance;
 use crate::path::{Counters, shadow_ray};
@@ -188,15 +188,15 @@ impl<'a, F: HitFilter, const IN_TARGET: bool> ShiftMap for LightPoints<'a, F, IN
         self.counters.shifts += 1;
         let shifted = self.carry(*sample, from, to).and_then(|(point, jacobian)| {
             let (sight, emitter) = to.look(point)?;
-            // The previous world may have other coverage masks; its own filter knows.
+            // A filter looks hits up in its own world.
+            let (direction, counters) = (sight.arrival.direction, &mut self.counters);
             let seen = !IN_TARGET
-                || if to.time == Time::Now {
-                    to.sees(sight.arrival.direction, &emitter, self.filter, &mut self.counters)
-                } else if to.world.has_alpha {
-                    let filter = to.world.alpha_mask();
-                    to.sees(sight.arrival.direction, &emitter, &filter, &mut self.counters)
-                } else {
-                    to.sees(sight.arrival.direction, &emitter, self.filter, &mut self.counters)
+                || match to.time {
+                    Time::Now => to.sees(direction, &emitter, self.filter, counters),
+                    Time::Before if to.world.has_alpha => {
+                        to.sees(direction, &emitter, &to.world.alpha_mask(), counters)
+                    }
+                    Time::Before => to.sees(direction, &emitter, &AcceptAll, counters),
                 };
             seen.then_some(Shifted { sample: point, integrand: sight.integrand, jacobian })
         });

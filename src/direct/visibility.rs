@@ -13,6 +13,11 @@
 
 use super::record::{pack_share, unpack_share};
 
+/// Limits of [`Visibility::Reuse`] in production (the defaults of RTXDI, after Wyman and Panteleev 2021): frames, pixels.
+pub const REUSE_AGE: u32 = 4;
+/// See [`REUSE_AGE`].
+pub const REUSE_DISTANCE: u32 = 16;
+
 /// A visibility policy; see the module's table.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Visibility {
@@ -37,8 +42,8 @@ pub enum Visibility {
 }
 
 impl Visibility {
-    /// Wyman and Panteleev's values, as in production.
-    pub const REUSE: Self = Self::Reuse { max_age: 4, max_distance: 16 };
+    /// With the limits of production.
+    pub const REUSE: Self = Self::Reuse { max_age: REUSE_AGE, max_distance: REUSE_DISTANCE };
 
     /// As in a SPEC.
     #[must_use]

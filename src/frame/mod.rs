@@ -242,11 +242,7 @@ impl FrameLoop {
         if let Some(world) = moved {
             self.world = world;
         }
-        self.passes.clear();
-        self.passes.reserve(self.plan.passes.len() + 1);
-        if let Some(elapsed) = updated {
-            self.passes.push(("scene update", elapsed.as_secs_f64() * 1e3));
-        }
+        let begin = Instant::now();
         let camera = self.world.scene.camera.rays(self.shot.size);
         if self.plan.emitters {
             self.world.prepare_emitters()?;
@@ -257,6 +253,12 @@ impl FrameLoop {
             }
             _ => None,
         };
+        self.passes.clear();
+        self.passes.reserve(self.plan.passes.len() + 1);
+        if let Some(elapsed) = updated {
+            // With the emitters' tree and the tables of what moved; in the first frame they belong to loading, as the scene's own tree.
+            self.passes.push(("scene update", (elapsed + begin.elapsed()).as_secs_f64() * 1e3));
+        }
         for (buffer, plan) in self.buffers.iter_mut().zip(&self.plan.buffers) {
             if plan.history && !first {
                 std::mem::swap(&mut buffer.current, &mut buffer.previous);
@@ -290,7 +292,12 @@ impl FrameLoop {
                     }
                 });
             counters = counters + work;
-            self.passes.push((pass.name, begin.elapsed().as_secs_f64() * 1e3));
+            let ms = begin.elapsed().as_secs_f64() * 1e3;
+            // Rounds of one pass are one line.
+            match self.passes.last_mut() {
+                Some((name, sum)) if *name == pass.name => *sum += ms,
+                _ => self.passes.push((pass.name, ms)),
+            }
         }
         self.next_frame = self.next_frame.wrapping_add(1);
         Ok(Frame { frame_loop: self, index, counters, passes: &self.passes })

@@ -25,7 +25,7 @@ pub use point::{Arrival, EmitterPoint};
 pub use remap::LightRemap;
 
 use crate::accel::triangle_orientation;
-use crate::math::{Frame, gamma, luminance, offset_origin, warp};
+use crate::math::{Frame, luminance, warp};
 use crate::scene::{Color, Emission, Geometry, LightKind, Scene, SpotFalloff};
 
 /// No light.
@@ -341,157 +341,22 @@ impl Lights {
         }
     }
 
-    /// A point of `light` for a receiver at `from`, drawn with the numbers `u`. `None` where it can send nothing there.
-    #[inline]
-    #[must_use]
-    pub fn sample_towards(
-        &self,
-        scene: &Scene,
-        light: u32,
-        from: Vec3,
-        u: Vec2,
-    ) -> Option<Incident> {
-        let record = &self.lights[light as usize];
-        match record.surface {
-            // Most lights are triangles: their case is compiled into the caller.
-            Surface::Triangle { corner, edge1, edge2, normal, .. } => {
-                let b = warp::sample_uniform_triangle(u);
-                let position = corner + edge1 * b.y + edge2 * b.z;
-                self.incident(scene, record, from, position, normal, mix_uvs(record.uvs, b))
-            }
-            Surface::Sphere { center, radius, .. } if outside_sphere(from, center, radius) => {
-                let point = sample_sphere_cone(from, center, radius, u)?;
-                let normal = (point - center) / radius;
-                self.incident(scene, record, from, point, normal, record.uv_on_sphere(normal))
-            }
-            _ => self.incident_from(scene, LightPoint { light, uv: u }, from),
-        }
-    }
-
-    /// What a light point sends to a receiver at `from`; `pdf` is that of uniform area (or of the environment's own density).
-    #[inline]
-    #[must_use]
-    pub fn incident_from(&self, scene: &Scene, point: LightPoint, from: Vec3) -> Option<Incident> {
-        let record = &self.lights[point.light as usize];
-        let delta = |position: Vec3, radiance: Vec3| {
-            let to_light = position - from;
-            let squared = to_light.length_squared();
-            (squared > 0.0 && radiance != Vec3::ZERO).then(|| Incident {
-                direction: to_light / squared.sqrt(),
-                end: Some(position),
-                radiance: radiance / squared,
-                pdf: 1.0,
-                delta: true,
-            })
-        };
-        match record.surface {
-            Surface::Triangle { corner, edge1, edge2, normal, .. } => {
-                let b = warp::sample_uniform_triangle(point.uv);
-                let position = corner + edge1 * b.y + edge2 * b.z;
-                self.incident(scene, record, from, position, normal, mix_uvs(record.uvs, b))
-            }
-            Surface::Sphere { center, radius, .. } => {
-                let normal = warp::sample_uniform_sphere(point.uv);
-                self.incident(
-                    scene,
-                    record,
-                    from,
-                    center + normal * radius,
-                    normal,
-                    record.uv_on_sphere(normal),
-                )
-            }
-            Surface::Disk { center, frame, radius } => {
-                let d = warp::sample_disk(point.uv);
-                let position = center + (frame.tangent * d.x + frame.bitangent * d.y) * radius;
-                self.incident(scene, record, from, position, frame.normal, 0.5 * (d + 1.0))
-            }
-            Surface::Point { position } => delta(position, constant(record)),
-            Surface::Spot { position, axis, cos_inner, cos_outer, falloff } => {
-                let to_receiver = (from - position).normalize_or_zero();
-                let share = spot_falloff(to_receiver.dot(axis), cos_inner, cos_outer, falloff);
-                delta(position, constant(record) * share)
-            }
-            Surface::Distant { direction } => Some(Incident {
-                direction,
-                end: None,
-                radiance: constant(record),
-                pdf: 1.0,
-                delta: true,
-            }),
-            Surface::Environment { index } => {
-                let (_, environment) = &self.environments[index as usize];
-                let direction = environment.sample(point.uv);
-                let pdf = environment.pdf(direction);
-                let radiance = environment.radiance(direction);
-                (pdf > 0.0 && radiance != Vec3::ZERO).then_some(Incident {
-                    direction,
-                    end: None,
-                    radiance,
-                    pdf,
-                    delta: false,
-                })
-            }
-        }
-    }
-
     /// Density per unit solid angle at `from` with which [`Lights::sample_towards`] would draw the surface point `at` of `light`, the choice of
     /// the light left out. `cos_theta` is the cosine at the light's geometric normal.
     #[inline]
     #[must_use]
     pub fn pdf_towards(&self, light: u32, from: Vec3, at: Vec3, cos_theta: f32) -> f32 {
+        self.density_from(light, from, (at - from).length_squared(), cos_theta)
+    }
+
+    #[inline]
+    fn density_from(&self, light: u32, from: Vec3, squared: f32, cos_theta: f32) -> f32 {
         match self.lights[light as usize].surface {
             Surface::Sphere { center, radius, .. } if outside_sphere(from, center, radius) => {
                 warp::uniform_cone_pdf(one_minus_cos_cone(from, center, radius))
             }
-            surface => per_solid_angle(area(surface), (at - from).length_squared(), cos_theta),
+            surface => per_solid_angle(area(surface), squared, cos_theta),
         }
-    }
-
-    #[inline]
-    fn incident(
-        &self,
-        scene: &Scene,
-        light: &Light,
-        from: Vec3,
-        at: Vec3,
-        normal: Vec3,
-        uv: Vec2,
-    ) -> Option<Incident> {
-        let to_light = at - from;
-        let squared = to_light.length_squared();
-        if squared == 0.0 {
-            return None;
-        }
-        let direction = to_light / squared.sqrt();
-        let cos_outward = -direction.dot(normal);
-        let facing = match light.surface {
-            Surface::Sphere { outward, .. } => cos_outward * outward,
-            _ => cos_outward,
-        };
-        if facing == 0.0 || (facing < 0.0 && !light.two_sided) {
-            return None;
-        }
-        let radiance = scene.color(light.radiance, uv) * light.scale;
-        if radiance == Vec3::ZERO {
-            return None;
-        }
-        let pdf = match light.surface {
-            Surface::Sphere { center, radius, .. } if outside_sphere(from, center, radius) => {
-                warp::uniform_cone_pdf(one_minus_cos_cone(from, center, radius))
-            }
-            surface => per_solid_angle(area(surface), squared, cos_outward),
-        };
-        // Five roundings lie between a light's corners and the point; the shadow ray must end before the surface.
-        let error = gamma(8) * (at.abs() + extent(light.surface));
-        let end = offset_origin(at, normal * 1.0_f32.copysign(cos_outward), error);
-        (pdf > 0.0 && pdf.is_finite()).then_some(Incident {
-            direction,
-            end: Some(end),
-            radiance,
-            pdf,
-            delta: false,
-        })
     }
 }
 

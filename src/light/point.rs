@@ -10,7 +10,8 @@
 use bytemuck::{Pod, Zeroable};
 use glam::{Vec2, Vec3};
 
-use super::{LightPoint, Lights, Surface, area, constant, extent, mix_uvs, outside_sphere};
+use super::{Incident, Light, LightPoint, Lights, Surface};
+use super::{area, constant, extent, mix_uvs, outside_sphere};
 use super::{one_minus_cos_cone, sample_sphere_cone, spot_falloff};
 use crate::accel::{Hit, HitPoint};
 use crate::math::{gamma, offset_origin, warp};
@@ -55,33 +56,87 @@ pub struct Arrival {
     pub geometry: f32,
 }
 
+/// Direction and squared distance from a receiver to a light point, and the cosine there.
+struct Facing {
+    direction: Vec3,
+    squared: f32,
+    cos: f32,
+}
+
+impl Light {
+    /// A point of a sphere light, whose outward normal there is `normal`.
+    #[inline]
+    fn on_sphere(
+        &self,
+        scene: &Scene,
+        light: u32,
+        position: Vec3,
+        normal: Vec3,
+    ) -> Option<EmitterPoint> {
+        let outward = match self.surface {
+            Surface::Sphere { outward, .. } => outward,
+            _ => 1.0,
+        };
+        let radiance = scene.color(self.radiance, self.uv_on_sphere(normal)) * self.scale;
+        EmitterPoint::new(light, position, normal * outward, radiance, self.side())
+    }
+
+    #[inline]
+    fn side(&self) -> u32 {
+        if self.two_sided { kind::TWO_SIDED } else { kind::ONE_SIDED }
+    }
+}
+
 impl EmitterPoint {
+    /// `None` where nothing is emitted.
+    #[inline]
+    fn new(light: u32, position: Vec3, normal: Vec3, radiance: Vec3, kind: u32) -> Option<Self> {
+        (radiance != Vec3::ZERO).then(|| Self {
+            position: position.to_array(),
+            normal: normal.to_array(),
+            radiance: radiance.to_array(),
+            kind,
+            light,
+        })
+    }
+
     /// Where it is; for light from infinity the unit direction to it.
     #[cfg(test)]
     pub(crate) fn place(&self) -> Vec3 {
         self.position.into()
     }
 
-    /// What arrives at `from`; `None` where nothing does.
+    /// A receiver at `from` as a point that is not at infinity sees it; `None` at the point itself, at an edge and behind.
     #[inline]
-    #[must_use]
-    pub fn towards(&self, lights: &Lights, from: Vec3) -> Option<Arrival> {
-        let (position, radiance) = (Vec3::from(self.position), Vec3::from(self.radiance));
-        if self.kind == kind::INFINITE {
-            let geometry = if lights.is_environment(self.light) { 1.0 } else { 0.0 };
-            return Some(Arrival { direction: position, radiance, geometry });
-        }
-        let to_light = position - from;
+    fn facing(&self, from: Vec3) -> Option<Facing> {
+        let to_light = Vec3::from(self.position) - from;
         let squared = to_light.length_squared();
         if squared == 0.0 {
             return None;
         }
         let direction = to_light / squared.sqrt();
+        // 0 for lights without a surface, whose kind is neither.
+        let cos = -direction.dot(Vec3::from(self.normal));
+        let dark = match self.kind {
+            kind::ONE_SIDED => cos <= 0.0,
+            kind::TWO_SIDED => cos == 0.0,
+            _ => false,
+        };
+        (!dark).then_some(Facing { direction, squared, cos })
+    }
+
+    /// What arrives at `from`; `None` where nothing does.
+    #[inline]
+    #[must_use]
+    pub fn towards(&self, lights: &Lights, from: Vec3) -> Option<Arrival> {
+        let radiance = Vec3::from(self.radiance);
+        if self.kind == kind::INFINITE {
+            let geometry = if lights.is_environment(self.light) { 1.0 } else { 0.0 };
+            let direction = self.position.into();
+            return Some(Arrival { direction, radiance, geometry });
+        }
+        let Facing { direction, squared, cos } = self.facing(from)?;
         if self.kind <= kind::TWO_SIDED {
-            let cos = -direction.dot(Vec3::from(self.normal));
-            if cos == 0.0 || (cos < 0.0 && self.kind == kind::ONE_SIDED) {
-                return None;
-            }
             let geometry = cos.abs() / squared;
             let radiance = radiance * geometry;
             return (radiance != Vec3::ZERO && geometry.is_finite()).then_some(Arrival {
@@ -107,32 +162,35 @@ impl Lights {
     #[must_use]
     pub fn emitter(&self, scene: &Scene, point: LightPoint) -> Option<EmitterPoint> {
         let record = &self.lights[point.light as usize];
-        let make = |position: Vec3, normal: Vec3, radiance: Vec3, kind: u32| {
-            (radiance != Vec3::ZERO).then(|| EmitterPoint {
-                position: position.to_array(),
-                normal: normal.to_array(),
-                radiance: radiance.to_array(),
-                kind,
-                light: point.light,
-            })
-        };
-        let side = if record.two_sided { kind::TWO_SIDED } else { kind::ONE_SIDED };
-        let emitted = |uv: Vec2| scene.color(record.radiance, uv) * record.scale;
         match record.surface {
+            // Most lights are triangles: their case is compiled into the caller.
             Surface::Triangle { corner, edge1, edge2, normal, .. } => {
                 let b = warp::sample_uniform_triangle(point.uv);
                 let position = corner + edge1 * b.y + edge2 * b.z;
-                make(position, normal, emitted(mix_uvs(record.uvs, b)), side)
+                let radiance = scene.color(record.radiance, mix_uvs(record.uvs, b)) * record.scale;
+                EmitterPoint::new(point.light, position, normal, radiance, record.side())
             }
-            Surface::Sphere { center, radius, outward } => {
+            _ => self.other_emitter(scene, point),
+        }
+    }
+
+    #[inline(never)]
+    fn other_emitter(&self, scene: &Scene, point: LightPoint) -> Option<EmitterPoint> {
+        let record = &self.lights[point.light as usize];
+        let make = |position, normal, radiance, kind| {
+            EmitterPoint::new(point.light, position, normal, radiance, kind)
+        };
+        let emitted = |uv: Vec2| scene.color(record.radiance, uv) * record.scale;
+        match record.surface {
+            Surface::Triangle { .. } => None,
+            Surface::Sphere { center, radius, .. } => {
                 let normal = warp::sample_uniform_sphere(point.uv);
-                let radiance = emitted(record.uv_on_sphere(normal));
-                make(center + normal * radius, normal * outward, radiance, side)
+                record.on_sphere(scene, point.light, center + normal * radius, normal)
             }
             Surface::Disk { center, frame, radius } => {
                 let d = warp::sample_disk(point.uv);
                 let position = center + (frame.tangent * d.x + frame.bitangent * d.y) * radius;
-                make(position, frame.normal, emitted(0.5 * (d + 1.0)), side)
+                make(position, frame.normal, emitted(0.5 * (d + 1.0)), record.side())
             }
             Surface::Point { position } => {
                 make(position, Vec3::ZERO, constant(record), kind::POINT)
@@ -178,18 +236,7 @@ impl Lights {
     #[inline]
     #[must_use]
     pub fn scaling(&self, now: LightPoint, before: &Self, then: LightPoint) -> f32 {
-        let surface =
-            |lights: &Self, point: LightPoint| lights.lights[point.light as usize].surface;
-        match (surface(self, now), surface(before, then)) {
-            (Surface::Environment { .. }, Surface::Environment { .. }) => {
-                self.measure(now) / before.measure(then)
-            }
-            (
-                Surface::Triangle { .. } | Surface::Sphere { .. } | Surface::Disk { .. },
-                Surface::Triangle { .. } | Surface::Sphere { .. } | Surface::Disk { .. },
-            ) => self.measure(now) / before.measure(then),
-            _ => 1.0,
-        }
+        self.measure(now) / before.measure(then)
     }
 
     /// Whether a point keeps its meaning between two lights: both are of the same kind.
@@ -237,23 +284,50 @@ impl Lights {
         u: Vec2,
     ) -> Option<EmitterPoint> {
         let record = &self.lights[light as usize];
-        let Surface::Sphere { center, radius, outward } = record.surface else {
-            return self.emitter(scene, self.point_with(light, u));
-        };
-        if !outside_sphere(from, center, radius) {
-            return self.emitter(scene, LightPoint { light, uv: u });
+        match record.surface {
+            Surface::Sphere { center, radius, .. } if outside_sphere(from, center, radius) => {
+                let position = sample_sphere_cone(from, center, radius, u)?;
+                record.on_sphere(scene, light, position, (position - center) / radius)
+            }
+            _ => self.emitter(scene, self.point_with(light, u)),
         }
-        let position = sample_sphere_cone(from, center, radius, u)?;
-        let normal = (position - center) / radius;
-        let radiance = scene.color(record.radiance, record.uv_on_sphere(normal)) * record.scale;
-        let kind = if record.two_sided { kind::TWO_SIDED } else { kind::ONE_SIDED };
-        (radiance != Vec3::ZERO).then(|| EmitterPoint {
-            position: position.to_array(),
-            normal: (normal * outward).to_array(),
-            radiance: radiance.to_array(),
-            kind,
-            light,
-        })
+    }
+
+    /// A point of `light` for a receiver at `from`, drawn with the numbers `u`, as path tracing wants it: per solid angle. `None` where it can
+    /// send nothing there.
+    #[inline]
+    #[must_use]
+    pub fn sample_towards(
+        &self,
+        scene: &Scene,
+        light: u32,
+        from: Vec3,
+        u: Vec2,
+    ) -> Option<Incident> {
+        let emitter = self.emitter_towards(scene, light, from, u)?;
+        if emitter.kind <= kind::TWO_SIDED {
+            let Facing { direction, squared, cos } = emitter.facing(from)?;
+            let pdf = self.density_from(light, from, squared, cos);
+            // Per solid angle the geometry stands in the density, not in the radiance.
+            let radiance = Vec3::from(emitter.radiance);
+            let end = self.shadow_end(&emitter, from);
+            return (pdf > 0.0 && pdf.is_finite()).then_some(Incident {
+                direction,
+                end,
+                radiance,
+                pdf,
+                delta: false,
+            });
+        }
+        let Arrival { direction, radiance, .. } = emitter.towards(self, from)?;
+        let end = self.shadow_end(&emitter, from);
+        match self.lights[light as usize].surface {
+            Surface::Environment { index } => {
+                let pdf = self.environments[index as usize].1.pdf(direction);
+                (pdf > 0.0).then_some(Incident { direction, end, radiance, pdf, delta: false })
+            }
+            _ => Some(Incident { direction, end, radiance, pdf: 1.0, delta: true }),
+        }
     }
 
     /// Density of [`Lights::point_towards`] at a point whose arrival has `geometry`, the choice of the light included, in the light's measure.

@@ -61,29 +61,6 @@ impl<S: Copy, D, M: Measure> Others<S, D, M> for [Input<'_, S, D, M>] {
     }
 }
 
-impl<S: Copy, D, M: Measure, const N: usize> Others<S, D, M> for [Input<'_, S, D, M>; N] {
-    type Domain<'s>
-        = &'s D
-    where
-        Self: 's;
-
-    fn count(&self) -> usize {
-        N
-    }
-
-    fn finished(&self, at: usize) -> Finished<S, M> {
-        self[at].finished
-    }
-
-    fn target(&self, at: usize) -> f32 {
-        self[at].target
-    }
-
-    fn domain(&self, at: usize) -> &D {
-        self[at].domain
-    }
-}
-
 /// An input's part in a merge, as it is streamed.
 #[derive(Clone, Copy, Debug)]
 pub struct Term<S, I> {
@@ -320,7 +297,6 @@ where
     T: ShiftMap,
     R: Reservoir<Sample = T::Sample>,
     M: Measure,
-    T::Sample: Copy,
 {
     let confidence = previous.finished.confidence.min(cap * canonical.finished.confidence);
     let capped = Input {
@@ -328,7 +304,7 @@ where
         target: previous.target,
         domain: previous.domain,
     };
-    spatial(map, family, canonical, &[capped], reservoir, random, carry)
+    spatial(map, family, canonical, [capped].as_slice(), reservoir, random, carry)
 }
 
 /// p̂ of `domain` at T(y) times |∂T|: its target as the canonical domain sees it; 0 where T is undefined.

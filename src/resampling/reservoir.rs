@@ -71,6 +71,25 @@ impl<S, M: Measure> Finished<S, M> {
     pub fn empty(confidence: f32) -> Self {
         Self { sample: None, weight: ContributionWeight::ZERO, confidence }
     }
+
+    /// A sample with W = `weight_sum` / `target` · `scale`; none where that is 0, or not finite, as 0/0 and x/0 are where p̂ is 0.
+    #[inline]
+    #[must_use]
+    pub fn from_sum(
+        sample: Option<S>,
+        weight_sum: f32,
+        target: f32,
+        scale: f32,
+        confidence: f32,
+    ) -> Self {
+        let weight = weight_sum / target * scale;
+        match sample {
+            Some(sample) if weight > 0.0 && weight.is_finite() => {
+                Self { sample: Some(sample), weight: ContributionWeight::new(weight), confidence }
+            }
+            _ => Self::empty(confidence),
+        }
+    }
 }
 
 /// A stream of weighted candidates in, one finished sample out. The streaming form (this trait) and the finished form ([`Finished`]) are
@@ -121,17 +140,28 @@ pub trait Reservoir: Default {
         target: f32,
         confidence: f32,
     ) -> Finished<Self::Sample, M> {
-        let weight = self.weight_sum() / target * scale;
-        // Also where p̂ is 0 (0/0 or x/0), or so small that the quotient overflows.
-        match self.selected() {
-            Some(sample) if weight > 0.0 && weight.is_finite() => Finished {
-                sample: Some(sample),
-                weight: ContributionWeight::new(weight),
-                confidence,
-            },
-            _ => Finished::empty(confidence),
-        }
+        Finished::from_sum(self.selected(), self.weight_sum(), target, scale, confidence)
     }
+}
+
+/// The methods that a wrapper passes on to the reservoir inside.
+macro_rules! pass_on {
+    () => {
+        #[inline]
+        fn selected(&self) -> Option<Self::Sample> {
+            self.inner.selected()
+        }
+
+        #[inline]
+        fn weight_sum(&self) -> f32 {
+            self.inner.weight_sum()
+        }
+
+        #[inline]
+        fn rejected(&self) -> u32 {
+            self.inner.rejected()
+        }
+    };
 }
 
 /// Weighted reservoir sampling with nothing besides.
@@ -241,20 +271,7 @@ impl<R: Reservoir> Reservoir for WithVisibility<R> {
         selected
     }
 
-    #[inline]
-    fn selected(&self) -> Option<Self::Sample> {
-        self.inner.selected()
-    }
-
-    #[inline]
-    fn weight_sum(&self) -> f32 {
-        self.inner.weight_sum()
-    }
-
-    #[inline]
-    fn rejected(&self) -> u32 {
-        self.inner.rejected()
-    }
+    pass_on!();
 }
 
 /// A reservoir that also sums its candidates' own contributions, Σ mᵢ F(yᵢ) Wᵢ \|∂T\|: decoupled shading. It has the mean of F(Y) W
@@ -301,18 +318,5 @@ impl<R: Reservoir> Reservoir for WithRadiance<R> {
         selected
     }
 
-    #[inline]
-    fn selected(&self) -> Option<Self::Sample> {
-        self.inner.selected()
-    }
-
-    #[inline]
-    fn weight_sum(&self) -> f32 {
-        self.inner.weight_sum()
-    }
-
-    #[inline]
-    fn rejected(&self) -> u32 {
-        self.inner.rejected()
-    }
+    pass_on!();
 }

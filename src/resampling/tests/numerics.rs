@@ -197,7 +197,15 @@ fn a_weight_that_is_not_a_number_is_counted() {
     let mut reservoir = Plain::default();
     let mut random = Stream::from_key(1);
     let mut map = Told(&neighbours);
-    spatial(&mut map, Family::Balance, &canonical, &others, &mut reservoir, &mut random, |_| ());
+    spatial(
+        &mut map,
+        Family::Balance,
+        &canonical,
+        others.as_slice(),
+        &mut reservoir,
+        &mut random,
+        |_| (),
+    );
     assert_eq!(reservoir.rejected(), 2);
 }
 

@@ -205,7 +205,7 @@ impl Frame<'_> {
             &mut self.map(),
             family,
             &self.input(&at, &own),
-            &[self.input(&other, &states[other])],
+            [self.input(&other, &states[other])].as_slice(),
             &mut reservoir,
             random,
             |term| {

@@ -14,8 +14,9 @@ use crate::math::{octahedral_decode, octahedral_encode};
 use crate::path::{Counters, Limits, finite_or_counted, indirect_radiance, scattered_radiance};
 use crate::plan::{BufferId, Plan};
 use crate::resampling::{
-    ContributionWeight, Finished, Input, Merged, Others, Plain, Reservoir, ShiftMap, Shifted,
-    WithRadiance, WithVisibility, metropolis, mutated_weight, spatial, temporal,
+    ContributionWeight, ControlVariate, DecoupledState, Estimator, Finished, Input, Merged, Others,
+    Plain, Reservoir, Selected, SelectedState, ShiftMap, Shifted, WithRadiance, WithVisibility,
+    metropolis, mutated_weight, spatial, temporal,
 };
 use crate::techniques::{Band, FrameInputs, PrimaryHit};
 use crate::world::WithFilter;
@@ -350,7 +351,9 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
                                 policy::WIS => kept = pack_average(f32::from(u8::from(seen))),
                                 policy::CONTROL => {
                                     let shown = if seen { finished.weight.get() } else { 0.0 };
-                                    control = Control::new(chosen.integrand() * shown, seen);
+                                    let shown = chosen.integrand() * shown;
+                                    let shown = finite_or_counted(shown, &mut counters);
+                                    control = Control::new(shown, seen);
                                 }
                                 _ => {}
                             }
@@ -540,7 +543,11 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
                 };
                 let capped = past.finished.confidence.min(self.technique.cap as f32);
                 let share = capped / (capped + canonical.finished.confidence);
-                let estimate = reservoir.radiance() + share * (past_control.estimate() - then);
+                let estimate = ControlVariate::radiance(&DecoupledState {
+                    radiance: reservoir.radiance(),
+                    correction: share * (past_control.estimate() - then),
+                });
+                let estimate = finite_or_counted(estimate, &mut counters);
                 let visible = if merged.source == 0 { own_visible } else { past_visible };
                 controls[local] = Control::new(estimate, visible);
             }
@@ -842,7 +849,11 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
                 Vec3::ZERO
             };
             let share = canonical.finished.confidence / merged.finished.confidence;
-            let estimate = reservoir.radiance() + share * (control.estimate() - then);
+            let estimate = ControlVariate::radiance(&DecoupledState {
+                radiance: reservoir.radiance(),
+                correction: share * (control.estimate() - then),
+            });
+            let estimate = finite_or_counted(estimate, counters);
             let visible = if source == 0 { control.visible() } else { seen[source] };
             control_kept = Control::new(estimate, visible);
         }
@@ -871,26 +882,29 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
             counters.shadow_rays_saved += u64::from(P != policy::IN_TARGET && P != policy::WIS);
             return Vec3::ZERO;
         };
-        let Some((sight, emitter)) = receiver.look(point) else { return Vec3::ZERO };
         let weight = merged.finished.weight.get();
-        let visibility = match P {
-            policy::IN_TARGET => 1.0,
-            policy::WIS => unpack_average(*kept),
-            _ => {
-                let stored = Reused::unpack(*kept);
-                let visible = if P == policy::REUSE && self.usable(stored) {
-                    counters.shadow_rays_saved += 1;
-                    stored.visible
-                } else {
-                    receiver.sees(sight.arrival.direction, &emitter, self.filter, counters)
-                };
-                if P == policy::REUSE && !self.usable(stored) {
-                    *kept = Reused::fresh(visible).pack();
-                }
-                f32::from(u8::from(visible))
+        if P == policy::IN_TARGET || P == policy::WIS {
+            let visibility = if P == policy::WIS { unpack_average(*kept) } else { 1.0 };
+            // Known already where a neighbour's sample was chosen.
+            let integrand = merged.integrand.or_else(|| Some(receiver.look(point)?.0.integrand));
+            let integrand = integrand.unwrap_or(Vec3::ZERO);
+            return Selected::radiance(&SelectedState { integrand, visibility, weight });
+        }
+        let Some((sight, emitter)) = receiver.look(point) else { return Vec3::ZERO };
+        let stored = Reused::unpack(*kept);
+        let visible = if P == policy::REUSE && self.usable(stored) {
+            counters.shadow_rays_saved += 1;
+            stored.visible
+        } else {
+            let direction = sight.arrival.direction;
+            let visible = receiver.sees(direction, &emitter, self.filter, counters);
+            if P == policy::REUSE {
+                *kept = Reused::fresh(visible).pack();
             }
+            visible
         };
-        sight.integrand * (visibility * weight)
+        let visibility = f32::from(u8::from(visible));
+        Selected::radiance(&SelectedState { integrand: sight.integrand, visibility, weight })
     }
 
     fn usable(&self, stored: Reused) -> bool {
