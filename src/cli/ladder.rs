@@ -11,7 +11,7 @@ use std::time::Instant;
 use super::engine::{self, Engine};
 use super::motion::{self, Motion};
 use super::progress::Progress;
-use super::trial::{self, Outcome, References, Settings};
+use super::trial::{self, Judged, Outcome, References, Settings};
 use super::verify::{VerifyArgs, existing};
 use super::{Status, machine, note, print};
 use crate::plan::Claim;
@@ -234,6 +234,13 @@ fn engine(args: &VerifyArgs, task: &Task<'_>) -> Result<Engine> {
     engine.with_scene(motion::only(engine.stage.scene(), task.rung.motion, seconds)?)
 }
 
+/// How many restarts were judged at the first age and, where fewer came so far, at the last.
+fn restarts(judged: &Judged) -> String {
+    let count = |age: Option<&trial::Age>| age.map_or(0, |age| age.restarts.count());
+    let (first, last) = (count(judged.ages.first()), count(judged.ages.last()));
+    if first == last { first.to_string() } else { format!("{first} to {last}") }
+}
+
 fn row(task: &Task<'_>, ages: &[u32], outcome: &Outcome) -> Row {
     let judged = outcome.last();
     let confidence = judged.confidence();
@@ -246,7 +253,6 @@ fn row(task: &Task<'_>, ages: &[u32], outcome: &Outcome) -> Row {
         })
     };
     let ages: Vec<String> = ages.iter().map(u32::to_string).collect();
-    let restarts = judged.ages.first().map_or(0, |age| age.restarts.count());
     Row {
         cells: vec![
             task.rung.name.to_string(),
@@ -260,7 +266,7 @@ fn row(task: &Task<'_>, ages: &[u32], outcome: &Outcome) -> Row {
             verdict(claim, judged.verdict).to_string(),
             worst(true),
             worst(false),
-            restarts.to_string(),
+            restarts(judged),
             format!("{}, stage {}", task.number, outcome.stages.len()),
         ],
         failed: *claim == Claim::Unbiased && judged.verdict == Verdict::Fail,

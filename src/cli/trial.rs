@@ -1,7 +1,8 @@
 //! One technique on one scene against a reference: how many restarts, two stages, a verdict.
 //!
-//! 1. A pilot of [`PILOT`] restarts says how much the means vary, and how long a restart takes. From that follows how many restarts
-//!    the first stage needs. The pilot is never tested, so this choice costs nothing of any α.
+//! 1. A pilot of [`PILOT`] restarts says how much the means vary, and how long a frame takes. From that follows how many restarts
+//!    the first stage needs at each age: young frames vary most and cost least, so most restarts end early. The pilot is never tested, so
+//!    this choice costs nothing of any α.
 //! 2. First stage. All parts ([`crate::stats::agreement`]) of all ages are judged together. A pass ends the trial.
 //! 3. Otherwise the second stage decides: fresh seeds, four times as many restarts.
 //!
@@ -206,8 +207,10 @@ pub(super) fn run(
 ) -> Result<Outcome> {
     let plan = engine.plan(&**technique);
     let begin = Instant::now();
-    let pilot = restarts(engine, technique, settings, Seeds::Pilot, PILOT)?;
-    let a_restart = begin.elapsed().as_secs_f64() / f64::from(PILOT);
+    let pilot =
+        restarts(engine, technique, settings, Seeds::Pilot, &Counts::all(settings.ages, PILOT))?;
+    let all = Counts::all(settings.ages, PILOT).frames(settings.ages);
+    let a_frame = begin.elapsed().as_secs_f64() / all as f64;
 
     let moving = engine.stage.facts().moves();
     let made = settings.ages[..if moving { settings.ages.len() } else { 1 }]
@@ -217,26 +220,25 @@ pub(super) fn run(
         .collect::<Result<Vec<_>>>()?;
     let of_age = |at: usize| &made[at.min(made.len() - 1)].reference;
 
-    let affordable = |share: f64| (share * settings.seconds / a_restart).min(1e9) as u32;
-    let count = match settings.restarts {
-        Some(count) => count,
-        None => {
-            let most = settings.most.min(affordable(0.2)).max(FEWEST);
-            needed(&pilot, of_age, settings)?.clamp(FEWEST, most)
-        }
+    let affordable = |share: f64| share * settings.seconds / a_frame;
+    let counts = match settings.restarts {
+        Some(count) => Counts::all(settings.ages, count),
+        None => needed(&pilot, of_age, settings)?
+            .at_most(settings.most)
+            .within(settings.ages, affordable(0.2)),
     };
     let mut stages = Vec::new();
-    for (part, count, difference_alpha) in [
-        (Seeds::Restart, count, SCREEN_ALPHA),
-        (Seeds::SecondStage, count.saturating_mul(4).min(affordable(0.8)).max(FEWEST), 1e-4),
-    ] {
+    let more = counts.times(4).within(settings.ages, affordable(0.8));
+    for (part, counts, difference_alpha) in
+        [(Seeds::Restart, &counts, SCREEN_ALPHA), (Seeds::SecondStage, &more, 1e-4)]
+    {
         let tolerance = Tolerance::of(settings.delta);
         let tolerance = Tolerance {
             equivalence_alpha: 0.5 * tolerance.equivalence_alpha,
             difference_alpha,
             ..tolerance
         };
-        let found = restarts(engine, technique, settings, part, count)?;
+        let found = restarts(engine, technique, settings, part, counts)?;
         let judged = judge(found, settings.ages, of_age, tolerance)?;
         shown(&judged, &made)?;
         let passed = judged.verdict == Verdict::Pass;
@@ -248,25 +250,70 @@ pub(super) fn run(
     Ok(Outcome { plan, stages })
 }
 
-/// Independent restarts, looked at at every age.
+/// Restarts that reach each age: never more than reach the one before.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Counts(Vec<u32>);
+
+impl Counts {
+    /// All of `count` restarts reach the last age.
+    fn all(ages: &[u32], count: u32) -> Self {
+        Self(vec![count; ages.len()])
+    }
+
+    /// As many as each age asks for; who reaches an age has been at those before.
+    fn wanted(mut wanted: Vec<u32>) -> Self {
+        let mut later = FEWEST;
+        for count in wanted.iter_mut().rev() {
+            *count = (*count).max(later);
+            later = *count;
+        }
+        Self(wanted)
+    }
+
+    fn at_most(mut self, most: u32) -> Self {
+        self.0.iter_mut().for_each(|count| *count = (*count).min(most.max(FEWEST)));
+        self
+    }
+
+    fn times(&self, factor: u32) -> Self {
+        Self(self.0.iter().map(|count| count.saturating_mul(factor)).collect())
+    }
+
+    /// Frames to render in all.
+    fn frames(&self, ages: &[u32]) -> u64 {
+        let next = self.0[1..].iter().chain(&[0]);
+        let ending = self.0.iter().zip(next).map(|(here, next)| here - next);
+        ending.zip(ages).map(|(count, &age)| u64::from(count) * u64::from(age)).sum()
+    }
+
+    /// Fewer of all, but never fewer than [`FEWEST`], so that about `frames` frames are rendered.
+    fn within(self, ages: &[u32], frames: f64) -> Self {
+        let share = (frames / self.frames(ages) as f64).min(1.0);
+        let fewer = |count: u32| ((share * f64::from(count)) as u32).max(FEWEST.min(count));
+        Self(self.0.into_iter().map(fewer).collect())
+    }
+}
+
+/// Independent restarts, looked at at every age that they reach.
 fn restarts(
     engine: &Engine,
     technique: &Arc<dyn Technique>,
     settings: &Settings<'_>,
     part: Seeds,
-    count: u32,
+    counts: &Counts,
 ) -> Result<Vec<Restarts>> {
     let mut found = Vec::new();
     for _ in settings.ages {
         found.push(bias::restarts(engine.shot.size)?);
     }
-    let progress = Progress::new("restarts", u64::from(count));
+    let progress = Progress::new("restarts", u64::from(counts.0[0]));
     progress.say(&technique.spec());
     let mut frames = engine.start(technique, settings.effort, 0)?;
-    for index in 0..count {
+    for index in 0..counts.0[0] {
         frames.restart(seed(settings.run, part, settings.number, index));
+        let reached = counts.0.iter().take_while(|count| index < **count).count();
         let mut done = 0;
-        for (restarts, &age) in found.iter_mut().zip(settings.ages) {
+        for (restarts, &age) in found.iter_mut().zip(&settings.ages[..reached]) {
             while done + 1 < age {
                 engine::next(&mut frames)?;
                 done += 1;
@@ -288,10 +335,11 @@ fn needed<'a>(
     pilot: &[Restarts],
     of_age: impl Fn(usize) -> &'a Reference,
     settings: &Settings<'_>,
-) -> Result<u32> {
+) -> Result<Counts> {
     let tolerance = Tolerance::of(settings.delta);
-    let mut most: f64 = 0.0;
+    let mut wanted = Vec::new();
     for (at, restarts) in pilot.iter().enumerate() {
+        let mut most: f64 = 0.0;
         for part in restarts.parts(&bias::exact(of_age(at))?, &tolerance)? {
             let error = part.test.standard_error / (RESTART_ERROR * part.delta * part.scale);
             // A black part has no error and no scale.
@@ -299,8 +347,9 @@ fn needed<'a>(
                 most = most.max(error * error);
             }
         }
+        wanted.push((f64::from(PILOT) * most).ceil().min(1e9) as u32);
     }
-    Ok((f64::from(PILOT) * most).ceil().min(1e9) as u32)
+    Ok(Counts::wanted(wanted))
 }
 
 /// Judges all ages together.
@@ -426,12 +475,27 @@ mod tests {
                 against: "nee",
                 reference: &args,
             };
-            needed(&[sample(PILOT, 50_000, 1.0)], |_| &reference, &settings).unwrap()
+            needed(&[sample(PILOT, 50_000, 1.0)], |_| &reference, &settings).unwrap().0[0]
         };
         // A tile varies by 7.2 % a restart: (7.2 / (0.12 · 2))² = 900, the largest of five estimates from eight restarts.
         assert!((500..4000).contains(&ask(0.01)), "{}", ask(0.01));
         let ratio = f64::from(ask(0.005)) / f64::from(ask(0.01));
         assert!((3.9..4.1).contains(&ratio), "{ratio}");
+    }
+
+    #[test]
+    fn young_frames_get_more_restarts_and_the_budget_holds() {
+        let ages = [1, 5, 20];
+        let counts = Counts::wanted(vec![1000, 100, 10]);
+        assert_eq!(counts.0, [1000, 100, FEWEST]);
+        assert_eq!(Counts::wanted(vec![10, 300, 100]).0, [300, 300, 100]);
+        let frames = 900 + (100 - 24) * 5 + 24 * 20;
+        assert_eq!(counts.frames(&ages), frames);
+        assert_eq!(Counts::all(&ages, 7).frames(&ages), 140);
+        let half = counts.clone().within(&ages, 0.5 * frames as f64);
+        assert_eq!(half.0, [500, 50, FEWEST]);
+        assert_eq!(counts.clone().within(&ages, 1e9), counts);
+        assert_eq!(counts.at_most(200).0, [200, 100, FEWEST]);
     }
 
     /// `nee`, as if the lights were where they were a frame ago.

@@ -84,7 +84,7 @@ pub(super) struct VerifyArgs {
     /// Positions of primary rays
     #[arg(long, value_enum, default_value_t = FilterArg::Point)]
     pub filter: FilterArg,
-    /// Restarts of the first stage [default: as many as a pilot asks for, 24 to 1024, in 20 minutes or, with --quick, one]
+    /// Restarts of the first stage [default: as many as a pilot asks for, at least 24, as fit into 20 minutes or, with --quick, one; fewer reach old ages than young ones]
     #[arg(long, value_name = "R", value_parser = clap::value_parser!(u32).range(2..=1_000_000))]
     pub restarts: Option<u32>,
     /// Complete independent estimates a pixel and frame
@@ -148,7 +148,7 @@ impl VerifyArgs {
             effort: self.spp,
             delta: self.delta(),
             restarts: self.restarts,
-            most: 1024,
+            most: 1 << 15,
             seconds: if self.quick { 60.0 } else { 1200.0 },
             confirm: true,
             run: self.picture.seed,
