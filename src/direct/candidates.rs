@@ -101,12 +101,17 @@ pub fn candidates(
     }
     let (light_share, bsdf_share) =
         ((from.lights * from.rounds) as f32, (from.bsdf * from.rounds) as f32);
+    let mut words = [0; 4];
     for candidate in 0..from.lights * from.rounds {
-        let words = draw4(seeds.seed(first + candidate), 0, BLOCK_LIGHT);
         counters.candidates += 1;
         let (offered, emitter, known) = match from.tile {
             Some(tile) => {
-                let at = (u64::from(words[0]) * tile.len() as u64) >> 32;
+                // An entry takes one word: four candidates share a draw.
+                let word = (candidate % 4) as usize;
+                if word == 0 {
+                    words = draw4(seeds.seed(first + candidate), 0, BLOCK_LIGHT);
+                }
+                let at = (u64::from(words[word]) * tile.len() as u64) >> 32;
                 let entry = &tile[at as usize];
                 if entry.density == 0.0 {
                     continue;
@@ -115,6 +120,7 @@ pub fn candidates(
                 (Offered { point, drawn: false }, entry.emitter, Some(entry.density))
             }
             None => {
+                words = draw4(seeds.seed(first + candidate), 0, BLOCK_LIGHT);
                 let light = lights.choose(words[0], words[1]);
                 let uv = Vec2::new(unit_float(words[2]), unit_float(words[3]));
                 let emitter = lights.emitter_towards(scene, light, surface.position, uv);

@@ -35,7 +35,7 @@ use crate::techniques::{Band, Entry, FrameInputs, Parameter, Technique, Values};
 pub const MAX_NEIGHBOURS: usize = 8;
 /// Pixels for each light point made ahead, and lights from which that pays.
 const PIXELS_A_TILE_ENTRY: usize = 4;
-const LIGHTS_FOR_TILES: u32 = 4096;
+const LIGHTS_FOR_TILES: u32 = 1000;
 /// Width and height in pixels of the blocks that share a tile of light points.
 const TILE_BLOCK: u32 = 8;
 /// Width and height in pixels of the boiling filter's tiles.
@@ -227,7 +227,7 @@ fn tiles(values: &mut Values) -> Result<LightTiles> {
 /// Whether light points are made ahead.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum LightTiles {
-    /// From 4096 lights on.
+    /// From 1,000 lights on.
     #[default]
     Auto,
     /// Always.
@@ -611,7 +611,7 @@ impl<'a> Planner<'a> {
                 runs: Runs::Always,
             });
         } else if resampled && self.technique.tiles == LightTiles::Auto {
-            self.skip("light points made ahead", "there are fewer than 4096 lights");
+            self.skip("light points made ahead", "there are fewer than 1,000 lights");
         }
         self.constants = vec![
             ("still", self.still.into()),

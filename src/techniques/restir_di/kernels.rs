@@ -159,6 +159,16 @@ impl<'a, F: HitFilter + Sync> Others<LightPoint, Receiver<'a>, LightMeasure>
 
 type Rich = WithRadiance<WithVisibility<Plain<LightPoint>>>;
 
+/// Where a band's candidates come from.
+struct Sources<'a> {
+    candidates: Candidates<'a>,
+    /// All tiles, and how many there are.
+    tiles: &'a [TileEntry],
+    count: u32,
+    /// The block that the candidates' tile belongs to: its neighbours in a row of pixels have the same.
+    block: Option<u32>,
+}
+
 /// What a pixel has after a merge.
 struct Kept {
     record: Record,
@@ -216,24 +226,38 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
     }
 
     /// Where candidates come from; `effort` units of them.
-    fn sources(&self, effort: u32, pixel: Pixel) -> Candidates<'a> {
+    fn sources(&self, effort: u32) -> Sources<'a> {
         let plan = self.inputs.plan;
-        let tiles = plan.constant("light tiles");
-        let tile = (tiles != 0).then(|| {
-            let entries: &[TileEntry] = self.inputs.read(self.id(buffer::TILES));
+        let count = plan.constant("light tiles");
+        Sources {
+            candidates: Candidates {
+                lights: self.technique.candidates,
+                bsdf: plan.constant("bsdf samples"),
+                rounds: effort,
+                tile: None,
+                surfaces: plan.constant("emitting surfaces") != 0,
+            },
+            tiles: if count == 0 { &[] } else { self.inputs.read(self.id(buffer::TILES)) },
+            count,
+            block: None,
+        }
+    }
+
+    /// Candidates for a pixel, whose block of pixels shares a tile.
+    #[inline]
+    fn sources_at<'s>(&self, sources: &'s mut Sources<'a>, pixel: Pixel) -> &'s Candidates<'a> {
+        if sources.count != 0 {
             let columns = self.inputs.shot.size[0].div_ceil(TILE_BLOCK);
             let block = pixel.y / TILE_BLOCK * columns + pixel.x / TILE_BLOCK;
-            // Which tile a block takes; the tiles' own numbers come from round 1 of the same purpose.
-            let tile = self.stream(block, Purpose::LightTile, 0).index(tiles);
-            &entries[(tile * TILE) as usize..((tile + 1) * TILE) as usize]
-        });
-        Candidates {
-            lights: self.technique.candidates,
-            bsdf: plan.constant("bsdf samples"),
-            rounds: effort,
-            tile,
-            surfaces: plan.constant("emitting surfaces") != 0,
+            if sources.block != Some(block) {
+                // Which tile a block takes; the tiles' own numbers come from round 1 of the same purpose.
+                let tile = self.stream(block, Purpose::LightTile, 0).index(sources.count);
+                let range = (tile * TILE) as usize..((tile + 1) * TILE) as usize;
+                sources.candidates.tile = Some(&sources.tiles[range]);
+                sources.block = Some(block);
+            }
         }
+        &sources.candidates
     }
 
     fn tiles(&self, band: &mut Band<'_>) -> Counters {
@@ -251,19 +275,20 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
         let mut counters = Counters::default();
         let (shot, hits) = (self.inputs.shot, self.inputs.read::<PrimaryHit>(Plan::HITS));
         let radiance: &mut [[f32; 3]] = band.take(0);
+        let mut sources = self.sources(1);
         for (pixel, out) in pixels(band).zip(radiance) {
             let mut sum = Vec3::ZERO;
             if let Some(hit) = hits[pixel.index as usize].get() {
                 let receiver = self.receiver(hit, pixel);
                 if receiver.scatters() {
-                    let sources = self.sources(1, pixel);
+                    let sources = self.sources_at(&mut sources, pixel);
                     let seeds = PathSeeds::new(shot.run, pixel.index, self.inputs.frame);
                     let each = sources.lights + sources.bsdf;
                     for estimate in 0..shot.effort {
                         let mut selection = self.stream(pixel.index, Purpose::Selection, estimate);
                         let first = (seeds, estimate * each);
                         let chosen =
-                            candidates(&receiver, &sources, first, &mut selection, &mut counters);
+                            candidates(&receiver, sources, first, &mut selection, &mut counters);
                         sum += match chosen {
                             Some(chosen) if self.sees(&receiver, &chosen, &mut counters) => {
                                 let weight = chosen.finish(1.0).weight.get();
@@ -320,6 +345,7 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
         let controls: &mut [Control] =
             if P == policy::CONTROL { band.take(next()) } else { &mut [] };
         let normals: &mut [u32] = band.take(next());
+        let mut sources = self.sources(shot.effort);
         for (local, pixel) in pixels(band).enumerate() {
             let (mut record, mut control, mut normal) = (Record::default(), Control::default(), 0);
             if let Some(hit) = hits[pixel.index as usize].get() {
@@ -332,7 +358,7 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
                     let mut selection = self.stream(pixel.index, Purpose::Selection, 0);
                     let chosen = candidates(
                         &receiver,
-                        &self.sources(shot.effort, pixel),
+                        self.sources_at(&mut sources, pixel),
                         (seeds, 0),
                         &mut selection,
                         &mut counters,
