@@ -176,7 +176,10 @@ fn tasks(args: &VerifyArgs) -> Result<Vec<Task<'static>>> {
     let name = args.technique.split(':').next().unwrap_or_default();
     // An unknown technique shall not be told that a rung's parameters are wrong.
     engine::technique(&args.technique)?;
-    let wanted = |rung: &Rung| args.rungs.as_ref().is_none_or(|text| rung.name.contains(text));
+    let still = |rung: &Rung, text: &str| text == "still" && rung.motion == Motion::Still;
+    let wanted = |rung: &Rung| {
+        args.rungs.as_ref().is_none_or(|text| rung.name.contains(text) || still(rung, text))
+    };
     let mut tasks = Vec::new();
     let mut number = 0;
     for rung in rungs(name) {
@@ -191,7 +194,7 @@ fn tasks(args: &VerifyArgs) -> Result<Vec<Task<'static>>> {
         let names: Vec<&str> = rungs(name).iter().map(|rung| rung.name).collect();
         let text = args.rungs.as_deref().unwrap_or_default();
         return Err(Error::usage(format!(
-            "no rung's name contains `{text}`; known: {}",
+            "no rung's name contains `{text}`; known: {}; and `still` for all without motion",
             names.join("; ")
         )));
     }
