@@ -10,6 +10,7 @@
 //!   | [`BLOCK_SCATTER`] | lobe word, direction u, direction v, spare |
 //!   | [`BLOCK_LIGHT`] | light index word, alias threshold word, light u, light v |
 //!   | [`BLOCK_ROULETTE`] | roulette, three spare; never replayed |
+//!   | [`BLOCK_LIGHTS`] + i | light u, light v, two spare, of light i where all are sampled |
 //!
 //! - Everything else (jitter, selection, neighbours, mutation, tile masks) draws from [`Stream`]s keyed by
 //!   (run, pixel or tile, frame, purpose, round), never from a path seed.
@@ -22,6 +23,9 @@ pub const BLOCK_SCATTER: u32 = 0;
 pub const BLOCK_LIGHT: u32 = 1;
 /// Block of [`draw4`] with Russian roulette.
 pub const BLOCK_ROULETTE: u32 = 2;
+
+/// First block of [`draw4`] with a point on each light, for those who sample all of them.
+pub const BLOCK_LIGHTS: u32 = 1 << 31;
 
 /// Four hashed words of four counter words (Jarzynski and Olano 2020, `pcg4d`).
 #[inline]

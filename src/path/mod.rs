@@ -14,7 +14,9 @@ use glam::Vec3;
 use crate::accel::{Hit, HitFilter, HitPoint, Ray};
 use crate::light::NO_LIGHT;
 use crate::math::luminance;
-use crate::math::rng::{BLOCK_LIGHT, BLOCK_ROULETTE, BLOCK_SCATTER, draw4, unit_float};
+use crate::math::rng::{
+    BLOCK_LIGHT, BLOCK_LIGHTS, BLOCK_ROULETTE, BLOCK_SCATTER, draw4, unit_float,
+};
 use crate::surface::SurfacePoint;
 use crate::world::World;
 
@@ -81,6 +83,16 @@ counters! {
     non_finite,
 }
 
+/// Which lights a vertex samples; kernels are compiled for one.
+pub mod sampled {
+    /// None: BSDF sampling alone.
+    pub const NONE: u8 = 0;
+    /// One, by power.
+    pub const ONE: u8 = 1;
+    /// Each of them once.
+    pub const ALL: u8 = 2;
+}
+
 /// When a path ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
@@ -116,11 +128,11 @@ pub fn emitted(world: &World, point: &HitPoint, direction: Vec3) -> Vec3 {
 
 /// Light reflected or transmitted towards the camera at a primary hit: one unbiased estimate of all paths with 2 to `limits.depth` segments.
 ///
-/// `NEE` adds light sampling at every vertex with a non-delta lobe, combined with BSDF sampling by the power heuristic. The primary ray's
-/// direction is of unit length.
+/// `LIGHTS` (of [`sampled`]) are sampled at every vertex with a non-delta lobe, combined with BSDF sampling by the power heuristic. The primary
+/// ray's direction is of unit length.
 #[inline]
 #[must_use]
-pub fn scattered_radiance<const NEE: bool, F: HitFilter>(
+pub fn scattered_radiance<const LIGHTS: u8, F: HitFilter>(
     world: &World,
     filter: &F,
     seed: u64,
@@ -128,7 +140,7 @@ pub fn scattered_radiance<const NEE: bool, F: HitFilter>(
     limits: Limits,
     counters: &mut Counters,
 ) -> Vec3 {
-    walk::<NEE, true, F>(world, filter, seed, primary, limits, counters)
+    walk::<LIGHTS, true, F>(world, filter, seed, primary, limits, counters)
 }
 
 /// As [`scattered_radiance`] with light sampling, without the light that comes straight to the primary hit and leaves it by a lobe that is not a
@@ -143,11 +155,11 @@ pub fn indirect_radiance<F: HitFilter>(
     limits: Limits,
     counters: &mut Counters,
 ) -> Vec3 {
-    walk::<true, false, F>(world, filter, seed, primary, limits, counters)
+    walk::<{ sampled::ONE }, false, F>(world, filter, seed, primary, limits, counters)
 }
 
 #[inline]
-fn walk<const NEE: bool, const DIRECT: bool, F: HitFilter>(
+fn walk<const LIGHTS: u8, const DIRECT: bool, F: HitFilter>(
     world: &World,
     filter: &F,
     seed: u64,
@@ -169,16 +181,23 @@ fn walk<const NEE: bool, const DIRECT: bool, F: HitFilter>(
         }
         let outgoing = surface.frame.to_local(-direction);
         let counted = DIRECT || vertex > 0;
-        if NEE && counted && surface.bsdf.has_non_delta() && !world.lights.is_empty() {
-            radiance += throughput
-                * direct_light(
-                    world,
-                    filter,
-                    &surface,
-                    outgoing,
-                    draw4(seed, vertex, BLOCK_LIGHT),
-                    counters,
-                );
+        if counted && surface.bsdf.has_non_delta() && !world.lights.is_empty() {
+            let place = (world, filter, &surface, outgoing);
+            if LIGHTS == sampled::ONE {
+                let words = draw4(seed, vertex, BLOCK_LIGHT);
+                let light = world.lights.choose(words[0], words[1]);
+                let choice = world.lights.choice_probability(light);
+                radiance += throughput
+                    * direct_light(place, (light, choice), [words[2], words[3]], counters);
+            } else if LIGHTS == sampled::ALL {
+                for light in 0..world.lights.len() as u32 {
+                    if world.lights.choice_probability(light) > 0.0 {
+                        let [x, y, ..] = draw4(seed, vertex, BLOCK_LIGHTS | light);
+                        radiance +=
+                            throughput * direct_light(place, (light, 1.0), [x, y], counters);
+                    }
+                }
+            }
         }
 
         let Some(sample) = surface.bsdf.sample(outgoing, draw4(seed, vertex, BLOCK_SCATTER)) else {
@@ -209,13 +228,17 @@ fn walk<const NEE: bool, const DIRECT: bool, F: HitFilter>(
         direction = surface.frame.to_world(sample.wi).normalize();
         let ray = Ray { origin: surface.origin(direction), direction, t_max: f32::INFINITY };
         counters.bounce_rays += 1;
-        let weight = |choice: f32, pdf: f32| {
-            if NEE && !sample.delta { power_heuristic(sample.pdf, choice * pdf) } else { 1.0 }
+        let weight = |light: u32, pdf: f32| match LIGHTS {
+            _ if sample.delta => 1.0,
+            sampled::NONE => 1.0,
+            sampled::ONE => {
+                power_heuristic(sample.pdf, world.lights.choice_probability(light) * pdf)
+            }
+            _ => power_heuristic(sample.pdf, pdf),
         };
         let Some(next) = world.accel.closest_hit(&ray, filter) else {
             for (light, environment) in world.lights.environments().filter(|_| counted) {
-                let share =
-                    weight(world.lights.choice_probability(light), environment.pdf(direction));
+                let share = weight(light, environment.pdf(direction));
                 radiance += throughput * environment.radiance(direction) * share;
             }
             break;
@@ -233,27 +256,23 @@ fn walk<const NEE: bool, const DIRECT: bool, F: HitFilter>(
             if emission != Vec3::ZERO {
                 let pdf =
                     world.lights.pdf_towards(light, surface.position, point.position, cos_light);
-                radiance +=
-                    throughput * emission * weight(world.lights.choice_probability(light), pdf);
+                radiance += throughput * emission * weight(light, pdf);
             }
         }
     }
     radiance
 }
 
-/// One light sample at a surface, weighted against BSDF sampling: an estimate of `∫ Le f |cos θ| V w_ℓ dω`.
+/// One sample of a light that was chosen with a probability, weighted against BSDF sampling: with its sum over lights an estimate of
+/// `∫ Le f |cos θ| V w_ℓ dω`.
 #[inline]
 fn direct_light<F: HitFilter>(
-    world: &World,
-    filter: &F,
-    surface: &SurfacePoint,
-    outgoing: Vec3,
-    words: [u32; 4],
+    (world, filter, surface, outgoing): (&World, &F, &SurfacePoint, Vec3),
+    (light, choice): (u32, f32),
+    words: [u32; 2],
     counters: &mut Counters,
 ) -> Vec3 {
-    let light = world.lights.choose(words[0], words[1]);
-    let choice = world.lights.choice_probability(light);
-    let u = glam::Vec2::new(unit_float(words[2]), unit_float(words[3]));
+    let u = glam::Vec2::from(words.map(unit_float));
     let Some(incident) = world.lights.sample_towards(&world.scene, light, surface.position, u)
     else {
         counters.shadow_rays_saved += 1;

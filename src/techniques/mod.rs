@@ -10,7 +10,7 @@ mod restir_di;
 use std::fmt;
 
 pub use pass::{Band, Buffer, FrameInputs, MAX_WRITES, Motion, PrimaryHit};
-pub use path_tracer::PathTracer;
+pub use path_tracer::{LightSampling, PathTracer};
 pub use restir_di::{LightTiles, MAX_NEIGHBOURS, RestirDi};
 
 use crate::error::{Error, Result, suggest};

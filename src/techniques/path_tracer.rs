@@ -9,35 +9,55 @@ use super::{Band, Entry, FrameInputs, Parameter, PrimaryHit, Technique, Values};
 use crate::accel::{HitFilter, Ray};
 use crate::error::Result;
 use crate::math::rng::path_seed;
-use crate::path::{Counters, Limits, emitted, finite_or_counted, scattered_radiance};
+use crate::path::{Counters, Limits, emitted, finite_or_counted, sampled, scattered_radiance};
 use crate::plan::{Claim, Domain, Filter, Kernel, Pass, Plan, Runs, SceneFacts, Shot, Skip};
 use crate::world::WithFilter;
 
-const PARAMETERS: &[Parameter] = &[Parameter {
+const ROULETTE: Parameter = Parameter {
     key: "roulette",
     about: "scatterings before Russian roulette may end a path, in [0, 1000]; lower is faster and noisier",
     default: "5",
-}];
+};
+const LIGHTS: Parameter = Parameter {
+    key: "lights",
+    about: "lights sampled at a vertex: one, by power, or all; all takes a ray a light, and is the better reference where hundreds of small lights are seen directly",
+    default: "one",
+};
 
 pub(super) const BSDF: Entry = Entry {
     name: "bsdf",
     about: "path tracing by BSDF sampling alone (Kajiya 1986); cannot find point, spot and distant lights",
-    parameters: PARAMETERS,
-    build: |values| PathTracer::from_values(false, values),
+    parameters: &[ROULETTE],
+    build: |values| PathTracer::from_values(LightSampling::None, values),
 };
 
 pub(super) const NEE: Entry = Entry {
     name: "nee",
     about: "path tracing with light sampling and MIS at every vertex (Veach 1997); the reference",
-    parameters: PARAMETERS,
-    build: |values| PathTracer::from_values(true, values),
+    parameters: &[ROULETTE, LIGHTS],
+    build: |values| {
+        let all = [LightSampling::One, LightSampling::All];
+        let lights = all[values.choice("lights", 0, &["one", "all"])?];
+        PathTracer::from_values(lights, values)
+    },
 };
+
+/// Which lights a vertex samples.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LightSampling {
+    /// None: `bsdf`.
+    None,
+    /// One, chosen by power.
+    One,
+    /// Each of them once: time grows with their number, noise does not.
+    All,
+}
 
 /// `bsdf` and `nee`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PathTracer {
-    /// Whether lights are sampled.
-    pub light_sampling: bool,
+    /// Which lights are sampled.
+    pub lights: LightSampling,
     /// Scatterings before Russian roulette may end a path, in [0, 1000].
     ///
     /// Lower values make a path cheaper and its estimate noisier.
@@ -46,18 +66,18 @@ pub struct PathTracer {
 
 impl Default for PathTracer {
     fn default() -> Self {
-        Self { light_sampling: true, roulette_after: 5 }
+        Self { lights: LightSampling::One, roulette_after: 5 }
     }
 }
 
 impl PathTracer {
-    fn from_values(light_sampling: bool, values: &mut Values) -> Result<Box<dyn Technique>> {
-        let default = Self { light_sampling, ..Self::default() };
+    fn from_values(lights: LightSampling, values: &mut Values) -> Result<Box<dyn Technique>> {
+        let default = Self { lights, ..Self::default() };
         let roulette_after = values.integer("roulette", default.roulette_after, 0..=1000)?;
         Ok(Box::new(Self { roulette_after, ..default }))
     }
 
-    fn paths<const NEE: bool, F: HitFilter>(
+    fn paths<const LIGHTS: u8, F: HitFilter>(
         &self,
         filter: &F,
         inputs: &FrameInputs<'_>,
@@ -81,7 +101,7 @@ impl PathTracer {
                         let direction = inputs.camera.ray(position).direction;
                         for sample in 0..shot.effort {
                             let seed = path_seed(shot.run, pixel, inputs.frame, sample);
-                            let path = scattered_radiance::<NEE, F>(
+                            let path = scattered_radiance::<LIGHTS, F>(
                                 inputs.world,
                                 filter,
                                 seed,
@@ -118,7 +138,7 @@ impl PathTracer {
                         direct +=
                             emitted(inputs.world, &inputs.world.accel.point(&hit), ray.direction);
                         let seed = path_seed(shot.run, pixel, inputs.frame, sample);
-                        let path = scattered_radiance::<NEE, F>(
+                        let path = scattered_radiance::<LIGHTS, F>(
                             inputs.world,
                             filter,
                             seed,
@@ -139,13 +159,16 @@ impl PathTracer {
 
 impl Technique for PathTracer {
     fn spec(&self) -> String {
-        let Self { light_sampling, roulette_after } = *self;
-        let name = if light_sampling { NEE.name } else { BSDF.name };
-        if roulette_after == Self::default().roulette_after {
-            name.into()
-        } else {
-            format!("{name}:roulette={roulette_after}")
+        let Self { lights, roulette_after } = *self;
+        let name = if lights == LightSampling::None { BSDF.name } else { NEE.name };
+        let mut keys = Vec::new();
+        if lights == LightSampling::All {
+            keys.push("lights=all".to_string());
         }
+        if roulette_after != Self::default().roulette_after {
+            keys.push(format!("roulette={roulette_after}"));
+        }
+        if keys.is_empty() { name.into() } else { format!("{name}:{}", keys.join(",")) }
     }
 
     fn plan(&self, facts: &SceneFacts, shot: &Shot) -> Plan {
@@ -193,8 +216,12 @@ impl Technique for PathTracer {
                 runs: Runs::Always,
             }),
         }
-        let sampled = self.light_sampling && facts.light_count() > 0;
-        if self.light_sampling && !sampled {
+        let sampled = match self.lights {
+            LightSampling::None => 0,
+            LightSampling::One => u64::from(facts.light_count().min(1)),
+            LightSampling::All => u64::from(facts.light_count()),
+        };
+        if self.lights != LightSampling::None && sampled == 0 {
             skipped.push(Skip { what: "light sampling", because: "no light emits anything" });
         }
         if !facts.alpha {
@@ -206,7 +233,7 @@ impl Technique for PathTracer {
         if facts.lights.environments == 0 {
             skipped.push(Skip { what: "environment lookups", because: "there is no environment" });
         }
-        let claim = if !self.light_sampling && facts.lights.delta > 0 {
+        let claim = if self.lights == LightSampling::None && facts.lights.delta > 0 {
             Claim::Biased("BSDF sampling never finds point, spot and distant lights".into())
         } else {
             Claim::Unbiased
@@ -216,12 +243,7 @@ impl Technique for PathTracer {
             passes,
             buffers: Plan::standard_buffers(),
             skipped,
-            rays_per_pixel: [
-                primary,
-                bounces * samples,
-                if sampled { bounces * samples } else { 0 },
-                0,
-            ],
+            rays_per_pixel: [primary, bounces * samples, bounces * samples * sampled, 0],
             constants: Vec::new(),
             emitters: false,
             claim,
@@ -235,10 +257,16 @@ impl Technique for PathTracer {
 
             fn run<F: HitFilter + Sync>(self, filter: F) -> Counters {
                 let Self(technique, inputs, band) = self;
-                if technique.light_sampling {
-                    technique.paths::<true, F>(&filter, inputs, band)
-                } else {
-                    technique.paths::<false, F>(&filter, inputs, band)
+                match technique.lights {
+                    LightSampling::None => {
+                        technique.paths::<{ sampled::NONE }, F>(&filter, inputs, band)
+                    }
+                    LightSampling::One => {
+                        technique.paths::<{ sampled::ONE }, F>(&filter, inputs, band)
+                    }
+                    LightSampling::All => {
+                        technique.paths::<{ sampled::ALL }, F>(&filter, inputs, band)
+                    }
                 }
             }
         }

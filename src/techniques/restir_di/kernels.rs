@@ -11,7 +11,9 @@ use crate::direct::{
 use crate::light::LightPoint;
 use crate::math::rng::{PathSeeds, Purpose, RandomSource, Stream, path_seed};
 use crate::math::{octahedral_decode, octahedral_encode};
-use crate::path::{Counters, Limits, finite_or_counted, indirect_radiance, scattered_radiance};
+use crate::path::{
+    Counters, Limits, finite_or_counted, indirect_radiance, sampled, scattered_radiance,
+};
 use crate::plan::{BufferId, Plan};
 use crate::resampling::{
     ContributionWeight, ControlVariate, DecoupledState, Estimator, Finished, Input, Merged, Others,
@@ -1010,7 +1012,7 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
                     let seed = path_seed(shot.run, pixel.index, self.inputs.frame, number);
                     let world = self.inputs.world;
                     let path = if ALL {
-                        scattered_radiance::<true, F>(
+                        scattered_radiance::<{ sampled::ONE }, F>(
                             world,
                             self.filter,
                             seed,
