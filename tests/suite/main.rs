@@ -11,6 +11,8 @@ mod loaders;
 mod metamorphic;
 mod mutations;
 mod oracles;
+#[cfg(feature = "cli")]
+mod peer;
 mod planted;
 mod planted_reuse;
 mod references;

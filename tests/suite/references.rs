@@ -25,7 +25,7 @@ pub(crate) fn shared(path: &str) -> Option<PathBuf> {
     Some(full)
 }
 
-fn read_exr(path: &Path) -> (usize, usize, Vec<Vec3>) {
+pub(crate) fn read_exr(path: &Path) -> (usize, usize, Vec<Vec3>) {
     let new =
         |size: exr::math::Vec2<usize>, _: &_| (size.0, size.1, vec![Vec3::ZERO; size.0 * size.1]);
     let set = |image: &mut (usize, usize, Vec<Vec3>),
@@ -39,7 +39,7 @@ fn read_exr(path: &Path) -> (usize, usize, Vec<Vec3>) {
 }
 
 /// Pixels that count: no emitter within one pixel.
-fn mask(emission: &[Vec3], width: usize, height: usize) -> Vec<bool> {
+pub(crate) fn mask(emission: &[Vec3], width: usize, height: usize) -> Vec<bool> {
     (0..width * height)
         .map(|i| {
             let (x, y) = (i % width, i / width);

@@ -131,11 +131,12 @@ pub(crate) fn room() -> Scene {
     scene
 }
 
-/// The names of the techniques that claim to be unbiased for a scene; the others are left out with a word.
+/// The techniques, and `nee` with all lights, that claim to be unbiased for a scene; the others are left out with a word.
 pub(crate) fn unbiased(stage: &Stage, shot: &Shot) -> Vec<&'static str> {
     REGISTRY
         .iter()
         .map(|entry| entry.name)
+        .chain(["nee:lights=all"])
         .filter(|name| match parse(name).unwrap().plan(stage.facts(), shot).claim {
             Claim::Biased(why) => {
                 println!("{}: left out `{name}`: {why}", stage.scene().name);
