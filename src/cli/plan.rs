@@ -1,17 +1,28 @@
-//! `plan`: what a technique will run on a scene, and what the scene lets it leave out.
+//! `plan`: what a technique will run on a scene, what the scene lets it leave out, and what is left takes.
+
+use std::sync::Arc;
 
 use clap::Args;
 use serde_json::{Value, json};
 
 use super::args::{FilterArg, PictureArgs};
+use super::calibrate::median_p99;
 use super::engine::{self, Engine};
+use super::progress::Progress;
 use super::{Status, print};
 use crate::Result;
+use crate::path::Counters;
 use crate::plan::{Domain, Elements, Plan, Runs, SceneFacts};
+use crate::report::{align, figure};
+use crate::techniques::Technique;
 
 /// Show what a technique will run on a scene, what is skipped, and why
 #[derive(Args, Debug)]
-#[command(after_help = "Example:\n  afterimage plan scenes/cornell.pbrt --technique nee")]
+#[command(after_help = "\
+Examples:
+  afterimage plan scenes/cornell.pbrt --technique nee
+  afterimage plan many-lights:1000 --technique restir-di --depth 2 --threads 1 --measure 40
+        and what each pass takes, and how many rays, once history is full")]
 pub(super) struct PlanArgs {
     /// A pbrt or glTF file, or a generator such as many-lights:1000
     #[arg(value_name = "SCENE")]
@@ -25,8 +36,11 @@ pub(super) struct PlanArgs {
     #[arg(long, value_enum, default_value_t = FilterArg::Point)]
     filter: FilterArg,
     /// Print JSON
-    #[arg(long)]
+    #[arg(long, conflicts_with = "measure")]
     json: bool,
+    /// Render N frames and show what each pass and pixel took, as medians of the second half of them
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=1_000_000))]
+    measure: Option<u32>,
 }
 
 pub(super) fn run(args: &PlanArgs) -> Result<Status> {
@@ -41,10 +55,61 @@ pub(super) fn run(args: &PlanArgs) -> Result<Status> {
         for (name, value) in engine.stage.facts().entries() {
             text.push_str(&format!("  {name:<30} {value}\n"));
         }
-        format!("{text}{plan}bytes      {} a pixel\n", plan.bytes_per_pixel(pixels))
+        let bytes = plan.bytes_per_pixel(pixels);
+        let measured = match args.measure {
+            Some(frames) => measured(&engine, &technique, frames)?,
+            None => String::new(),
+        };
+        format!("{text}{plan}bytes      {bytes} a pixel\n{measured}")
     };
     print(&text)?;
     Ok(Status::Done)
+}
+
+/// Time of each pass and work of a pixel in a steady frame.
+fn measured(engine: &Engine, technique: &Arc<dyn Technique>, count: u32) -> Result<String> {
+    let mut frames = engine.start(technique, engine.shot.effort, engine.shot.run)?;
+    let progress = Progress::new("frames", u64::from(count));
+    let mut passes: Vec<(&'static str, Vec<f64>)> = Vec::new();
+    let mut totals = Vec::new();
+    let mut work = Counters::default();
+    for index in 0..count {
+        let frame = engine::next(&mut frames)?;
+        if index >= count / 2 {
+            totals.push(frame.milliseconds());
+            work = work + frame.counters;
+            for &(name, ms) in frame.passes {
+                match passes.iter_mut().find(|(known, _)| *known == name) {
+                    Some((_, times)) => times.push(ms),
+                    None => passes.push((name, vec![ms])),
+                }
+            }
+        }
+        progress.step();
+    }
+    drop(progress);
+    let pixels = engine.shot.pixels() as f64;
+    let [total, _] = median_p99(&totals);
+    let line = |name: &str, ms: f64| {
+        let share = format!("{:.0} %", 100.0 * ms / total);
+        vec![name.to_string(), figure(ms), figure(1e6 * ms / pixels), share]
+    };
+    let mut times: Vec<Vec<String>> =
+        passes.iter().map(|(name, times)| line(name, median_p99(times)[0])).collect();
+    times.push(line("frame", total));
+    let header = |names: &[&str]| names.iter().map(|name| (*name).to_string()).collect::<Vec<_>>();
+    let watched = totals.len() as f64 * pixels;
+    let work: Vec<Vec<String>> = work
+        .entries()
+        .into_iter()
+        .filter(|(_, count)| *count > 0)
+        .map(|(name, count)| vec![name.to_string(), figure(count as f64 / watched)])
+        .collect();
+    Ok(format!(
+        "\n{}\n{}",
+        align(&header(&["pass", "ms", "ns a pixel", "share"]), &times),
+        align(&header(&["work", "a pixel"]), &work)
+    ))
 }
 
 fn to_json(plan: &Plan, facts: &SceneFacts, pixels: usize) -> Value {

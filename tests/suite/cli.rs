@@ -375,6 +375,11 @@ fn plan_list_inspect_and_generate_speak() {
             && plan["bytes_per_pixel"].as_f64().unwrap() > 0.0
     );
     assert!(place.run(&format!("plan {scene} --technique nee")).done().out.contains("left out"));
+    let measured =
+        place.run(&format!("plan {scene} --technique nee --size 8x8 --measure 4")).done().out;
+    for wanted in ["ns a pixel", "paths", "frame", "shadow_rays"] {
+        assert!(measured.contains(wanted), "{wanted} in {measured}");
+    }
     assert!(place.run("list techniques").done().out.contains("nee"));
     assert!(place.run("list scenes").done().out.contains("many-lights:N"));
     assert!(place.run("list adapters").done().out.contains("no GPU backend"));
