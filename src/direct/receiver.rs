@@ -1,7 +1,5 @@
 //! Receivers, and the shift of light points between them.
 
-use std::cell::OnceCell;
-
 use glam::Vec3;
 
 use crate::accel::{AcceptAll, Hit, HitFilter};
@@ -33,12 +31,9 @@ pub enum Time {
 #[derive(Debug)]
 pub struct Receiver<'a> {
     world: &'a World,
-    hit: Hit,
-    /// Of the primary ray, unit.
-    direction: Vec3,
     time: Time,
-    /// Looked up when first asked for: many merges never do.
-    surface: OnceCell<(SurfacePoint, Vec3)>,
+    /// With the direction to the camera in its local frame.
+    surface: (SurfacePoint, Vec3),
 }
 
 /// A light point as a receiver sees it.
@@ -57,7 +52,9 @@ impl<'a> Receiver<'a> {
     #[inline]
     #[must_use]
     pub fn new(world: &'a World, hit: Hit, direction: Vec3, time: Time) -> Self {
-        Self { world, hit, direction, time, surface: OnceCell::new() }
+        let surface = world.surface(&hit);
+        let outgoing = surface.frame.to_local(-direction);
+        Self { world, time, surface: (surface, outgoing) }
     }
 
     /// Its world.
@@ -71,11 +68,7 @@ impl<'a> Receiver<'a> {
     #[inline]
     #[must_use]
     pub fn surface(&self) -> &(SurfacePoint, Vec3) {
-        self.surface.get_or_init(|| {
-            let surface = self.world.surface(&self.hit);
-            let outgoing = surface.frame.to_local(-self.direction);
-            (surface, outgoing)
-        })
+        &self.surface
     }
 
     /// Whether light can reach the camera from here by a lobe that is not a delta.
