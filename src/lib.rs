@@ -64,7 +64,7 @@
 //! # Ok::<(), afterimage::Error>(())
 //! ```
 //!
-//! The pages in `docs/` say more: architecture, notation, scenes, the path tracer, testing.
+//! The pages in `docs/` say more: architecture, notation, scenes, the path tracer, resampling, restir-di, visibility, metrics, results, testing.
 
 pub mod accel;
 #[cfg(feature = "cli")]

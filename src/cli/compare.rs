@@ -8,7 +8,7 @@
 
 mod write;
 
-pub(super) use write::{file_name, sum};
+pub(super) use write::{file_name, guide_layers, sum};
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -70,13 +70,13 @@ pub(super) struct CompareArgs {
     /// Positions of primary rays
     #[arg(long, value_enum, default_value_t = FilterArg::Point)]
     filter: FilterArg,
-    /// Milliseconds a frame, met within 5 % [default: the slowest technique's at effort 1]
+    /// Milliseconds a frame, met within 5 % where an effort fits, else marked [default: the slowest technique's at effort 1]
     #[arg(long, value_name = "MS", conflicts_with = "spp", value_parser = parse_positive)]
     frame_time: Option<f64>,
     /// Complete independent estimates a pixel and frame, instead of a frame time
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_048_576))]
     spp: Option<u32>,
-    /// Judge this frame after a cold start
+    /// Judge this frame after a cold start (of a technique without history, in a still scene, the second: all have one law)
     #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     frames: u32,
     /// Judge the mean of all frames instead of the last
@@ -258,7 +258,7 @@ pub(super) fn run(args: &CompareArgs) -> Result<Status> {
     };
     let folder =
         args.out.clone().unwrap_or_else(|| PathBuf::from("out").join(file_name(&engine.name)));
-    write::all(&folder, &results, &contenders, &truth)?;
+    write::all(&folder, &results, &contenders, (&truth, &guides))?;
     print(&summary(&results))?;
     note(&format!(
         "wrote {0}; all metrics: {0}/table.md, their meaning: docs/metrics.md",

@@ -1,4 +1,4 @@
-//! `inspect`: one pixel, from its surface to its single estimates.
+//! `inspect`: one pixel, from its surface over its candidates to its single estimates and what its reservoir keeps.
 
 use std::fmt::Write as _;
 
@@ -11,7 +11,12 @@ use super::progress::Progress;
 use super::seeds::{Part, seed};
 use super::{Status, print};
 use crate::accel::Ray;
+use crate::direct::{Receiver, Record, Time};
+use crate::frame::Frame;
+use crate::light::LightPoint;
 use crate::math::luminance;
+use crate::math::rng::{RandomSource, Stream};
+use crate::path::{Counters, power_heuristic};
 use crate::report::figure;
 use crate::stats::Moments;
 use crate::world::World;
@@ -20,7 +25,7 @@ use crate::{Error, Result};
 /// Lights that are shown.
 const MOST_LIGHTS: usize = 12;
 
-/// Look at one pixel: surface, material, lights, and a technique's estimates one by one
+/// Look at one pixel: surface, lights, candidates with their weights, a technique's estimates one by one, its reservoir
 #[derive(Args, Debug)]
 #[command(
     after_help = "Example:\n  afterimage inspect scenes/cornell.pbrt --technique nee --pixel 128,150 --samples 16"
@@ -61,7 +66,12 @@ pub(super) fn run(args: &InspectArgs) -> Result<Status> {
     let frozen = engine.frozen(args.frames - 1)?;
     let mut text =
         format!("pixel {x},{y} of {} at {width}x{height}, frame {}\n", engine.scene, args.frames);
-    surface(&mut text, frozen.stage.first_world(), args.pixel, engine.shot.size);
+    if let Some(receiver) =
+        surface(&mut text, frozen.stage.first_world(), args.pixel, engine.shot.size)
+    {
+        let key = seed(args.picture.seed, Part::Pilot, 0, 0);
+        candidates(&mut text, &receiver, args.samples, &mut Stream::from_key(key));
+    }
 
     let plan = engine.plan(&*technique);
     let _ = writeln!(text, "\n`{}` claims to be {}", plan.technique, plan.claim);
@@ -73,12 +83,15 @@ pub(super) fn run(args: &InspectArgs) -> Result<Status> {
     let progress = Progress::new("estimates", u64::from(args.samples));
     let mut frames = engine.start(&technique, 1, 0)?;
     let (mut moments, mut zeros) = (Moments::new(), 0_u32);
+    let mut reservoir = None;
     for index in 0..args.samples {
         frames.restart(seed(args.picture.seed, Part::Restart, 0, index));
         for _ in 1..args.frames {
             engine::next(&mut frames)?;
         }
-        let value = engine::next(&mut frames)?.picture().at(x, y);
+        let frame = engine::next(&mut frames)?;
+        let value = frame.picture().at(x, y);
+        reservoir = kept(&frame, (y * width + x) as usize).or(reservoir);
         let grey = luminance(value);
         moments.push(f64::from(grey));
         zeros += u32::from(value == Vec3::ZERO);
@@ -101,12 +114,80 @@ pub(super) fn run(args: &InspectArgs) -> Result<Status> {
         figure(moments.skewness()),
         args.samples
     );
+    if let Some(record) = reservoir {
+        let _ = writeln!(text, "\nreservoir of the last estimate\n{record}");
+    }
     print(&text)?;
     Ok(Status::Done)
 }
 
-/// The surface in the pixel's centre and the lights as it sees them.
-fn surface(text: &mut String, world: &World, pixel: [u32; 2], size: [u32; 2]) {
+/// What a technique with reservoirs keeps of a pixel.
+fn kept(frame: &Frame<'_>, pixel: usize) -> Option<String> {
+    let records: &[Record] = frame.buffer("history").or_else(|| frame.buffer("reservoirs"))?;
+    let record = records.get(pixel)?;
+    let finished = record.finished();
+    let (confidence, age) = (record.confidence(), record.age());
+    Some(match finished.sample {
+        Some(LightPoint { light, uv }) => format!(
+            "light {light} at ({}, {}), target {}, W {}, confidence {confidence}, age {age}",
+            figure(f64::from(uv.x)),
+            figure(f64::from(uv.y)),
+            figure(f64::from(record.target)),
+            figure(f64::from(finished.weight.get())),
+        ),
+        None => format!("no sample, W 0, confidence {confidence}"),
+    })
+}
+
+/// Light samples as the pixel sees them, with what resampling and MIS make of each. Densities are in the light's own measure.
+fn candidates(text: &mut String, receiver: &Receiver<'_>, count: u32, random: &mut Stream) {
+    let world = receiver.world();
+    let lights = &world.lights;
+    if lights.is_empty() || !receiver.scatters() {
+        return;
+    }
+    let _ = writeln!(
+        text,
+        "\n{count} light samples: target p, densities of light and BSDF sampling, share of light sampling (balance; power, as `nee`),\n\
+         weight p / density, seen or not\n{:>8}  {:>10} {:>10} {:>10} {:>8} {:>8} {:>10} {:>5}",
+        "light", "target", "by light", "by BSDF", "balance", "power", "weight", "seen"
+    );
+    let position = receiver.surface().0.position;
+    let mut work = Counters::default();
+    for _ in 0..count {
+        let light = lights.choose(random.word(), random.word());
+        let u = Vec2::new(random.uniform(), random.uniform());
+        let point = lights.point_towards(light, position, u);
+        let Some((sight, emitter)) = receiver.look(point) else {
+            let _ = writeln!(text, "{light:>8}  {:>10}", 0);
+            continue;
+        };
+        let density = lights.density_towards(point, position, sight.arrival.geometry);
+        let seen = receiver.sees(sight.arrival.direction, &emitter, &world.alpha_mask(), &mut work);
+        let balance = density / (density + sight.bsdf_density);
+        let power = if sight.arrival.geometry > 0.0 {
+            power_heuristic(density, sight.bsdf_density)
+        } else {
+            1.0
+        };
+        let [target, density, bsdf, balance, power, weight] =
+            [sight.target(), density, sight.bsdf_density, balance, power, sight.target() / density]
+                .map(|v| figure(f64::from(v)));
+        let seen = if seen { "yes" } else { "no" };
+        let _ = writeln!(
+            text,
+            "{light:>8}  {target:>10} {density:>10} {bsdf:>10} {balance:>8} {power:>8} {weight:>10} {seen:>5}"
+        );
+    }
+}
+
+/// The surface in the pixel's centre and the lights as it sees them; a receiver, if a surface is there.
+fn surface<'a>(
+    text: &mut String,
+    world: &'a World,
+    pixel: [u32; 2],
+    size: [u32; 2],
+) -> Option<Receiver<'a>> {
     let at = Vec2::new(pixel[0] as f32 + 0.5, pixel[1] as f32 + 0.5);
     let ray = world.scene.camera.rays(size).ray(at);
     let hit = world.closest_hit(&Ray {
@@ -117,7 +198,7 @@ fn surface(text: &mut String, world: &World, pixel: [u32; 2], size: [u32; 2]) {
     let Some(hit) = hit else {
         let _ =
             writeln!(text, "hits nothing; the sky emits {}", world.escaped_radiance(ray.direction));
-        return;
+        return None;
     };
     let point = world.surface(&hit);
     let placed = world.accel.point(&hit);
@@ -128,6 +209,7 @@ fn surface(text: &mut String, world: &World, pixel: [u32; 2], size: [u32; 2]) {
     let emitted = crate::path::emitted(world, &placed, ray.direction);
     let _ = writeln!(text, "emits      {emitted}");
     lights(text, world);
+    Some(Receiver::new(world, hit, ray.direction, Time::Now))
 }
 
 /// The lights by the probability that they are drawn.

@@ -19,7 +19,7 @@ pub(super) struct ListArgs {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum What {
-    /// What `--technique` and `--techniques` take
+    /// What `--technique` and `--techniques` take, with parameters and their defaults
     Techniques,
     /// Scene files in ./scenes, and generators
     Scenes,
@@ -30,7 +30,7 @@ enum What {
 pub(super) fn run(args: &ListArgs) -> Result<Status> {
     let text = match args.what {
         What::Techniques => {
-            table(techniques::REGISTRY.iter().map(|e| (e.name.to_string(), e.about.to_string())))
+            techniques::REGISTRY.iter().map(technique).collect::<Vec<_>>().join("\n")
         }
         What::Scenes => scenes()?,
         What::Adapters => {
@@ -39,6 +39,15 @@ pub(super) fn run(args: &ListArgs) -> Result<Status> {
     };
     print(&text)?;
     Ok(Status::Done)
+}
+
+/// A technique with its parameters.
+fn technique(entry: &techniques::Entry) -> String {
+    let parameters = entry.parameters.iter().map(|p| {
+        let default = if p.default.is_empty() { String::new() } else { format!("={}", p.default) };
+        (format!("  {}{default}", p.key), p.about.to_string())
+    });
+    format!("{}: {}\n{}", entry.name, entry.about, table(parameters))
 }
 
 fn scenes() -> Result<String> {

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::args::{FilterArg, PictureArgs};
-use super::compare::{file_name, sum};
+use super::compare::{file_name, guide_layers, sum};
 use super::engine::{self, Engine, Mean, keeps_history};
 use super::progress::Progress;
 use super::seeds::{Part, seed};
@@ -112,23 +112,9 @@ pub(super) fn run(args: &RenderArgs) -> Result<Status> {
         .clone()
         .unwrap_or_else(|| PathBuf::from(format!("{}.exr", file_name(&engine.name))));
     let all = sum(&shown.picture, Some(&shown.emission));
-    let guides = &shown.guides;
-    let motion = Layer {
-        name: "motion".to_string(),
-        channels: vec![
-            ("X", guides.motion.iter().map(|m| m.x).collect()),
-            ("Y", guides.motion.iter().map(|m| m.y).collect()),
-        ],
-    };
-    let albedo = Picture::new(all.width, all.height, guides.albedo.clone());
-    let layers = [
-        Layer::rgb("color", &all),
-        Layer::rgb("albedo", &albedo),
-        Layer::xyz("normal", &guides.normal),
-        Layer::scalar("depth", "Z", guides.depth.clone()),
-        motion,
-        Layer::rgb("emission", &shown.emission),
-    ];
+    let mut layers = vec![Layer::rgb("color", &all)];
+    layers.extend(guide_layers(&shown.guides));
+    layers.push(Layer::rgb("emission", &shown.emission));
     write_exr(&out, engine.shot.size, &layers)?;
     let png = out.with_extension("png");
     write_png(&png, &Tile::new(&all, ToneMap::for_reference(&shown.picture)))?;

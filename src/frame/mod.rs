@@ -323,6 +323,14 @@ impl Frame<'_> {
         self.frame_loop.picture(Plan::EMISSION)
     }
 
+    /// What this frame left in the plan's buffer `name`, such as `reservoirs`; `None` where the plan has no such buffer, or one whose elements
+    /// are no whole number of `T`.
+    #[must_use]
+    pub fn buffer<T: bytemuck::Pod>(&self, name: &str) -> Option<&[T]> {
+        let id = self.frame_loop.plan.buffer(name)?;
+        bytemuck::try_cast_slice(&self.frame_loop.buffers[id.0].current).ok()
+    }
+
     /// Albedo, normal, depth and motion through pixel centres. Traced here, in no pass's time.
     #[must_use]
     pub fn guides(&self) -> Guides {

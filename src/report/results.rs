@@ -7,7 +7,8 @@ use serde::{Deserialize, Serialize};
 /// [`Results::schema`].
 pub const SCHEMA: u32 = 1;
 
-/// Names that [`Row::metrics`] may hold, in the order of tables. Lower is better for all.
+/// Names that [`Row::metrics`] may hold and tables show, in their order; lower is better for all. `rmspe_share` is there as well: the share of
+/// pixels that `rmspe` is over.
 pub const METRICS: [&str; 11] = [
     "relmse",
     "relmse_trimmed",

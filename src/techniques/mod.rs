@@ -191,10 +191,10 @@ mod tests {
     fn unknown_names_and_keys_list_what_exists() {
         for (spec, text) in [
             ("ne", "no technique is called `ne`; known: nee, ris, bsdf, restir-di"),
-            ("nee:rulette=3", "`nee` has no parameter `rulette`; known: roulette"),
+            ("nee:rulette=3", "`nee` has no parameter `rulette`; known: roulette, lights"),
             (
                 "nee:roulette",
-                "`roulette` in `nee:roulette` is not of the form key=value; known: roulette",
+                "`roulette` in `nee:roulette` is not of the form key=value; known: roulette, lights",
             ),
             ("nee:roulette=-1", "`roulette` is `-1`, but must be an integer in [0, 1000]"),
             (

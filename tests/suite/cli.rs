@@ -380,7 +380,10 @@ fn plan_list_inspect_and_generate_speak() {
     for wanted in ["ns a pixel", "paths", "frame", "shadow_rays"] {
         assert!(measured.contains(wanted), "{wanted} in {measured}");
     }
-    assert!(place.run("list techniques").done().out.contains("nee"));
+    let techniques = place.run("list techniques").done().out;
+    for wanted in ["nee: ", "lights=one", "restir-di: ", "cap=20"] {
+        assert!(techniques.contains(wanted), "{wanted} in {techniques}");
+    }
     assert!(place.run("list scenes").done().out.contains("many-lights:N"));
     assert!(place.run("list adapters").done().out.contains("no GPU backend"));
     let inspect = place

@@ -59,6 +59,7 @@ const TABLE: &[(&str, &[&str])] = &[
             "report",
             "frame",
             "techniques",
+            "direct",
             "plan",
             "path",
             "world",

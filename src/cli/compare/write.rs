@@ -5,6 +5,7 @@ use std::path::Path;
 
 use super::Contender;
 use crate::Result;
+use crate::frame::Guides;
 use crate::picture::Picture;
 use crate::report::{
     Layer, Results, Tile, ToneMap, contact_sheet, csv, curve_csv, error_map, error_time_svg,
@@ -23,7 +24,7 @@ pub(super) fn all(
     folder: &Path,
     results: &Results,
     contenders: &[Contender],
-    truth: &Picture,
+    (truth, guides): (&Picture, &Guides),
 ) -> Result<()> {
     let text =
         |name: &str, text: &str| write_atomic(&folder.join(name), |w| w.write_all(text.as_bytes()));
@@ -49,7 +50,7 @@ pub(super) fn all(
     let emission = contenders.iter().find_map(|c| c.emission.as_ref());
     let mut pictures = vec![Some(Tile::new(&sum(truth, emission), tone))];
     let mut errors = vec![None];
-    save(folder, "reference", truth, emission, tone)?;
+    save(folder, "reference", (truth, emission), &guide_layers(guides), tone)?;
     for (at, contender) in contenders.iter().enumerate() {
         let Some(shown) = &contender.shown else { continue };
         let mut name = file_name(&contender.spec);
@@ -57,24 +58,43 @@ pub(super) fn all(
         if contenders[..at].iter().any(|other| other.spec == contender.spec) {
             name = format!("{name}-{}", at + 1);
         }
-        save(folder, &name, shown, contender.emission.as_ref(), tone)?;
+        save(folder, &name, (shown, contender.emission.as_ref()), &[], tone)?;
         pictures.push(Some(Tile::new(&sum(shown, contender.emission.as_ref()), tone)));
         errors.push(Some(error_map(shown, truth)));
     }
     write_png(&folder.join("contact.png"), &contact_sheet(&[pictures, errors]))
 }
 
+/// Albedo, normal, depth and motion as layers.
+pub(in crate::cli) fn guide_layers(guides: &Guides) -> Vec<Layer> {
+    let [width, height] = guides.size;
+    let motion = Layer {
+        name: "motion".to_string(),
+        channels: vec![
+            ("X", guides.motion.iter().map(|m| m.x).collect()),
+            ("Y", guides.motion.iter().map(|m| m.y).collect()),
+        ],
+    };
+    vec![
+        Layer::rgb("albedo", &Picture::new(width, height, guides.albedo.clone())),
+        Layer::xyz("normal", &guides.normal),
+        Layer::scalar("depth", "Z", guides.depth.clone()),
+        motion,
+    ]
+}
+
 /// One picture as EXR, emission in a layer of its own, and as PNG.
 fn save(
     folder: &Path,
     name: &str,
-    picture: &Picture,
-    emission: Option<&Picture>,
+    (picture, emission): (&Picture, Option<&Picture>),
+    more: &[Layer],
     tone: ToneMap,
 ) -> Result<()> {
     let all = sum(picture, emission);
     let mut layers = vec![Layer::rgb("color", &all)];
     layers.extend(emission.map(|e| Layer::rgb("emission", e)));
+    layers.extend_from_slice(more);
     write_exr(&folder.join(format!("{name}.exr")), [all.width, all.height], &layers)?;
     write_png(&folder.join(format!("{name}.png")), &Tile::new(&all, tone))
 }
