@@ -270,7 +270,7 @@ fn row(task: &Task<'_>, ages: &[u32], outcome: &Outcome) -> Row {
             worst(true),
             worst(false),
             restarts(judged),
-            format!("{}, stage {}", task.number, outcome.stages.len()),
+            format!("{}, stage {}", task.number, judged.stage),
         ],
         failed: *claim == Claim::Unbiased && judged.verdict == Verdict::Fail,
         reason: match claim {

@@ -3,7 +3,7 @@
 use crate::math::rng::pcg4d;
 
 /// What a seed is for.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub(super) enum Part {
     /// A restart of a technique that is judged.

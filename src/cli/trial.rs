@@ -4,7 +4,8 @@
 //!    the first stage needs at each age: young frames vary most and cost least, so most restarts end early. The pilot is never tested, so
 //!    this choice costs nothing of any α.
 //! 2. First stage. All parts ([`crate::stats::agreement`]) of all ages are judged together. A pass ends the trial.
-//! 3. Otherwise the second stage decides: fresh seeds, four times as many restarts.
+//! 3. Otherwise the second stage decides: fresh seeds, four times as many restarts. It comes first where time allows less than half of what
+//!    the first stage needs.
 //!
 //! Levels: a wrong picture has two chances to pass, so each stage tests equivalence at α/2 = 5·10⁻⁴. Nothing fails but by the second
 //! stage at 10⁻⁴ (Holm), whatever the first one said: both share the reference's error, so their levels must not be multiplied.
@@ -26,8 +27,8 @@ use crate::techniques::Technique;
 
 /// Restarts of the pilot.
 const PILOT: u32 = 8;
-/// Fewer restarts leave Student's quantiles wide and the skewness unknown.
-const FEWEST: u32 = 24;
+/// Fewer restarts leave Student's quantiles wide, and a skewness unseen that would shift them.
+const FEWEST: u32 = 64;
 /// Level at which the first stage calls a difference certain, which only the second may confirm.
 const SCREEN_ALPHA: f64 = 1e-2;
 /// The reference's standard error of any part, in margins.
@@ -159,6 +160,8 @@ impl Age {
 /// Restarts that were judged.
 #[derive(Debug)]
 pub(super) struct Judged {
+    /// 1 or 2: which seeds these are.
+    pub stage: u32,
     pub ages: Vec<Age>,
     pub verdict: Verdict,
     /// That each part was tested at.
@@ -186,7 +189,7 @@ impl Judged {
 #[derive(Debug)]
 pub(super) struct Outcome {
     pub plan: Plan,
-    /// One, or two.
+    /// The first, the second, or both.
     pub stages: Vec<Judged>,
 }
 
@@ -221,16 +224,25 @@ pub(super) fn run(
     let of_age = |at: usize| &made[at.min(made.len() - 1)].reference;
 
     let affordable = |share: f64| share * settings.seconds / a_frame;
-    let counts = match settings.restarts {
-        Some(count) => Counts::all(settings.ages, count),
-        None => needed(&pilot, of_age, settings)?
-            .at_most(settings.most)
-            .within(settings.ages, affordable(0.2)),
+    let (wanted, counts) = match settings.restarts {
+        Some(count) => {
+            let all = Counts::all(settings.ages, count);
+            (all.clone(), all)
+        }
+        None => {
+            let wanted = needed(&pilot, of_age, settings)?.at_most(settings.most);
+            (wanted.clone(), wanted.within(settings.ages, affordable(0.2)))
+        }
     };
+    // Where time is so short that the first stage would rarely pass, the second gets all of it.
+    let frames = |counts: &Counts| counts.frames(settings.ages) as f64;
+    let screen = !settings.confirm || frames(&counts) >= 0.5 * frames(&wanted);
+    let more = wanted.times(4).within(settings.ages, affordable(if screen { 0.8 } else { 1.0 }));
     let mut stages = Vec::new();
-    let more = counts.times(4).within(settings.ages, affordable(0.8));
     for (part, counts, difference_alpha) in
         [(Seeds::Restart, &counts, SCREEN_ALPHA), (Seeds::SecondStage, &more, 1e-4)]
+            .into_iter()
+            .skip(usize::from(!screen))
     {
         let tolerance = Tolerance::of(settings.delta);
         let tolerance = Tolerance {
@@ -239,7 +251,8 @@ pub(super) fn run(
             ..tolerance
         };
         let found = restarts(engine, technique, settings, part, counts)?;
-        let judged = judge(found, settings.ages, of_age, tolerance)?;
+        let stage = if part == Seeds::Restart { 1 } else { 2 };
+        let judged = Judged { stage, ..judge(found, settings.ages, of_age, tolerance)? };
         shown(&judged, &made)?;
         let passed = judged.verdict == Verdict::Pass;
         stages.push(judged);
@@ -370,7 +383,7 @@ fn judge<'a>(
     for age in &mut ages {
         age.verdicts = verdicts.by_ref().take(age.parts.len()).collect();
     }
-    Ok(Judged { ages, verdict, tolerance })
+    Ok(Judged { stage: 1, ages, verdict, tolerance })
 }
 
 /// A part's bias with its interval, in percent: `+0.12 [-0.03, +0.27]`.
@@ -489,11 +502,11 @@ mod tests {
         let counts = Counts::wanted(vec![1000, 100, 10]);
         assert_eq!(counts.0, [1000, 100, FEWEST]);
         assert_eq!(Counts::wanted(vec![10, 300, 100]).0, [300, 300, 100]);
-        let frames = 900 + (100 - 24) * 5 + 24 * 20;
+        let frames = 900 + (100 - 64) * 5 + 64 * 20;
         assert_eq!(counts.frames(&ages), frames);
         assert_eq!(Counts::all(&ages, 7).frames(&ages), 140);
         let half = counts.clone().within(&ages, 0.5 * frames as f64);
-        assert_eq!(half.0, [500, 50, FEWEST]);
+        assert_eq!(half.0, [500, FEWEST, FEWEST]);
         assert_eq!(counts.clone().within(&ages, 1e9), counts);
         assert_eq!(counts.at_most(200).0, [200, 100, FEWEST]);
     }

@@ -542,3 +542,37 @@ fn integrals_see_a_jacobian_left_out_or_inverted() {
         }
     }
 }
+
+/// A sphere that shines inward, or both ways: from outside only the near cap can send anything, from inside all of it.
+#[test]
+fn who_is_outside_a_hollow_light_sees_its_near_cap_alone() {
+    for two_sided in [false, true] {
+        let mut scene = Scene::new("hollow");
+        let grey = scene.add_material(lambert());
+        let corners = [[-3.0, -3.0], [-3.0, 3.0], [3.0, 3.0], [3.0, -3.0]];
+        let floor = corners.map(|[x, z]| Vec3::new(x, 0.0, z));
+        scene.add_shape(Shape::new(mesh(&floor), grey));
+        let center = Vec3::new(0.0, 1.0, 0.0);
+        let mut ball = Shape::new(Geometry::Sphere { center, radius: 0.5 }, grey);
+        ball = ball.emitting(Vec3::ONE);
+        ball.reverse_orientation = !two_sided;
+        ball.emission.as_mut().unwrap().two_sided = two_sided;
+        scene.add_shape(ball);
+        let world = world(scene);
+        let lights = &world.lights;
+        let (outside, inside) = (Vec3::new(0.3, 0.0, 0.2), Vec3::new(0.1, 1.1, -0.2));
+        let mut random = Stream::from_key(8);
+        let mut near = 0;
+        for _ in 0..1000 {
+            let uv = Vec2::new(random.uniform(), random.uniform());
+            let emitter = lights.emitter(&world.scene, LightPoint { light: 0, uv }).unwrap();
+            let place = emitter.place();
+            let faces = (outside - place).dot(place - center) > 0.0;
+            near += u32::from(faces);
+            let arrives = emitter.towards(lights, outside).is_some();
+            assert_eq!(arrives, two_sided && faces, "{place}");
+            assert!(emitter.towards(lights, inside).is_some(), "{place}");
+        }
+        assert!((100..900).contains(&near));
+    }
+}

@@ -23,12 +23,14 @@ mod kind {
     pub(super) const ONE_SIDED: u32 = 0;
     /// From both sides of a surface.
     pub(super) const TWO_SIDED: u32 = 1;
+    /// From the inside of a sphere, or both sides: whoever is outside sees the cap that faces him, not the far one's inside.
+    pub(super) const HOLLOW: u32 = 2;
     /// In all directions from a point.
-    pub(super) const POINT: u32 = 2;
+    pub(super) const POINT: u32 = 3;
     /// The same, narrowed by the light's cone.
-    pub(super) const SPOT: u32 = 3;
+    pub(super) const SPOT: u32 = 4;
     /// From infinity.
-    pub(super) const INFINITE: u32 = 4;
+    pub(super) const INFINITE: u32 = 5;
 }
 
 /// A light point in world space without a receiver: 44 bytes, so that a pass can prepare many.
@@ -78,7 +80,9 @@ impl Light {
             _ => 1.0,
         };
         let radiance = scene.color(self.radiance, self.uv_on_sphere(normal)) * self.scale;
-        EmitterPoint::new(light, position, normal * outward, radiance, self.side())
+        let hollow = self.two_sided || outward < 0.0;
+        let kind = if hollow { kind::HOLLOW } else { kind::ONE_SIDED };
+        EmitterPoint::new(light, position, normal * outward, radiance, kind)
     }
 
     #[inline]
@@ -108,7 +112,7 @@ impl EmitterPoint {
 
     /// A receiver at `from` as a point that is not at infinity sees it; `None` at the point itself, at an edge and behind.
     #[inline]
-    fn facing(&self, from: Vec3) -> Option<Facing> {
+    fn facing(&self, lights: &Lights, from: Vec3) -> Option<Facing> {
         let to_light = Vec3::from(self.position) - from;
         let squared = to_light.length_squared();
         if squared == 0.0 {
@@ -120,6 +124,7 @@ impl EmitterPoint {
         let dark = match self.kind {
             kind::ONE_SIDED => cos <= 0.0,
             kind::TWO_SIDED => cos == 0.0,
+            kind::HOLLOW => lights.hollow_is_dark(self.light, from, cos),
             _ => false,
         };
         (!dark).then_some(Facing { direction, squared, cos })
@@ -135,8 +140,8 @@ impl EmitterPoint {
             let direction = self.position.into();
             return Some(Arrival { direction, radiance, geometry });
         }
-        let Facing { direction, squared, cos } = self.facing(from)?;
-        if self.kind <= kind::TWO_SIDED {
+        let Facing { direction, squared, cos } = self.facing(lights, from)?;
+        if self.kind <= kind::HOLLOW {
             let geometry = cos.abs() / squared;
             let radiance = radiance * geometry;
             return (radiance != Vec3::ZERO && geometry.is_finite()).then_some(Arrival {
@@ -305,8 +310,8 @@ impl Lights {
         u: Vec2,
     ) -> Option<Incident> {
         let emitter = self.emitter_towards(scene, light, from, u)?;
-        if emitter.kind <= kind::TWO_SIDED {
-            let Facing { direction, squared, cos } = emitter.facing(from)?;
+        if emitter.kind <= kind::HOLLOW {
+            let Facing { direction, squared, cos } = emitter.facing(self, from)?;
             let pdf = self.density_from(light, from, squared, cos);
             // Per solid angle the geometry stands in the density, not in the radiance.
             let radiance = Vec3::from(emitter.radiance);
@@ -382,6 +387,18 @@ impl Lights {
             }
         };
         LightPoint { light, uv }
+    }
+
+    /// Whether a hollow sphere's point, whose stored normal has `cos` to the receiver, sends nothing there.
+    fn hollow_is_dark(&self, light: u32, from: Vec3, cos: f32) -> bool {
+        let Light { surface, two_sided, .. } = self.lights[light as usize];
+        match surface {
+            Surface::Sphere { center, radius, outward } if outside_sphere(from, center, radius) => {
+                !two_sided || cos * outward <= 0.0
+            }
+            _ if two_sided => cos == 0.0,
+            _ => cos <= 0.0,
+        }
     }
 
     #[inline]

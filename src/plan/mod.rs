@@ -6,7 +6,8 @@ use std::fmt;
 use crate::light::LightCounts;
 use crate::math::luminance;
 pub use crate::resampling::Claim;
-use crate::scene::{Color, LightKind, Material, Scalar, Scene};
+use crate::scene::{Color, LightKind, Material, MaterialId, Scalar, Scene};
+use crate::surface::material::evaluate_material;
 
 /// What a scene contains, as far as it decides what can be left out.
 #[derive(Clone, Debug, PartialEq)]
@@ -68,7 +69,7 @@ impl SceneFacts {
                 facts.alpha |= shape
                     .alpha
                     .is_some_and(|alpha| !matches!(alpha, Scalar::Constant(a) if a >= 1.0));
-                facts.add_material(scene, &scene.materials[shape.material.index()]);
+                facts.add_material(scene, shape.material);
                 if let Some(emission) = shape.emission {
                     facts.moving_lights |= moves;
                     match emission.radiance {
@@ -93,36 +94,40 @@ impl SceneFacts {
         facts
     }
 
-    fn add_material(&mut self, scene: &Scene, material: &Material) {
-        let mut add = |roughness: &crate::scene::Roughness| match (roughness.u, roughness.v) {
-            (Scalar::Constant(0.0), Scalar::Constant(0.0)) => self.delta_lobes = true,
-            _ => self.glossy_lobes = true,
-        };
-        match material {
-            Material::Diffuse { .. } => {}
-            Material::DiffuseTransmission { .. } => self.transmission = true,
+    fn add_material(&mut self, scene: &Scene, id: MaterialId) {
+        let textured = |scalar: &Scalar| !matches!(scalar, Scalar::Constant(_));
+        let (rough, varies) = match &scene.materials[id.index()] {
+            Material::Mix { first, second, .. } => {
+                // Parts of a mix are not mixes, as validation has checked.
+                self.add_material(scene, *first);
+                return self.add_material(scene, *second);
+            }
+            Material::Diffuse { .. } => (false, false),
+            Material::DiffuseTransmission { .. } => {
+                self.transmission = true;
+                (false, false)
+            }
             Material::Conductor { roughness, .. } | Material::CoatedDiffuse { roughness, .. } => {
-                add(roughness);
+                (true, textured(&roughness.u) || textured(&roughness.v))
             }
             Material::Dielectric { roughness, .. } => {
-                add(roughness);
                 self.transmission = true;
+                (true, textured(&roughness.u) || textured(&roughness.v))
             }
             Material::ThinDielectric { .. } => {
-                self.delta_lobes = true;
                 self.transmission = true;
+                (false, false)
             }
-            Material::MetallicRoughness { transmission, .. } => {
-                self.glossy_lobes = true;
+            Material::MetallicRoughness { roughness, transmission, .. } => {
                 self.transmission |= !matches!(transmission, Scalar::Constant(0.0));
+                self.glossy_lobes = true;
+                (true, textured(roughness))
             }
-            Material::Mix { first, second, .. } => {
-                for part in [first, second] {
-                    // Parts of a mix are not mixes, as validation has checked.
-                    self.add_material(scene, &scene.materials[part.index()]);
-                }
-            }
-        }
+        };
+        // What is smooth enough for a delta is the lobes' own business; only roughness decides it, so any texture coordinates do.
+        let bsdf = evaluate_material(scene, id, glam::Vec2::splat(0.5));
+        self.delta_lobes |= varies || (0..bsdf.lobe_count()).any(|lobe| bsdf.is_delta(lobe));
+        self.glossy_lobes |= rough && (varies || !bsdf.is_delta(0));
     }
 
     /// Number of lights that can be drawn.

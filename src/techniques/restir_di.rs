@@ -365,6 +365,11 @@ impl RestirDi {
                 "`decoupled=true` with `visibility=wis` would multiply every input by an average of others' visibility; use `visibility=wis-cv`",
             ));
         }
+        if decoupled && neighbours == 0 {
+            return Err(Error::usage(
+                "`decoupled=true` shades with all inputs of the last spatial merge, but `neighbours` is 0; set it to at least 1",
+            ));
+        }
         if self.mutations > 0 && cap == 0 && neighbours == 0 {
             return Err(Error::usage(
                 "`mutations` without reuse move a sample that nobody takes; set `cap` or `neighbours`",
@@ -393,7 +398,9 @@ impl RestirDi {
             still,
             target_proportional: facts.grey_lights && !facts.glossy_lobes && !facts.transmission,
             own_visibility,
-            drops_occluded: self.visibility == Visibility::Bitterli,
+            // A pixel that takes from itself alone loses nothing with what it does not see, unless chains lead back there.
+            drops_occluded: self.visibility == Visibility::Bitterli
+                && (spatial || !still || self.mutations > 0),
             streamed_partition: (!spatial || self.mis.terms_partition_unity())
                 && (!temporal || still || self.temporal_mis.terms_partition_unity()),
             sample_blind: self.max_age == 0,
@@ -784,6 +791,7 @@ mod tests {
     fn contradictions_name_both_sides() {
         for (spec, text) in [
             ("restir-di:visibility=wis,decoupled=true", "visibility=wis-cv"),
+            ("restir-di:decoupled=true,neighbours=0", "but `neighbours` is 0"),
             ("restir-di:visibility-age=9", "need `visibility=reuse`, but it is `in-target`"),
             ("restir-di:mutations=1,cap=0,neighbours=0", "set `cap` or `neighbours`"),
             ("restir-di:mis=balanced", "`mis` has no value `balanced`; known: balance"),

@@ -6,12 +6,13 @@ use afterimage::frame::{FrameLoop, Stage};
 use afterimage::path::Counters;
 use afterimage::plan::{Filter, Shot};
 use afterimage::scene::{
-    Channel, Color, LightKind, Material, Scalar, Scene, Texture, TextureKind, Track, Transform,
+    Channel, Color, ConductorColor, Geometry, LightKind, Material, MaterialId, Roughness, Scalar,
+    Scene, Shape, Texture, TextureKind, Track, Transform,
 };
 use afterimage::techniques::{REGISTRY, parse};
 use glam::{Affine2, Affine3A, Vec3, Vec4};
 
-use crate::support::{bits, diffuse, environment, last_frame, light, polygon, room, shot};
+use crate::support::{bits, diffuse, environment, last_frame, light, look_at, polygon, room, shot};
 
 fn shots() -> [Shot; 2] {
     let point = shot([24, 16], 5, 2);
@@ -40,6 +41,75 @@ fn assert_same(a: &Scene, b: &Scene) {
             assert!(bits(&x.0) == bits(&y.0), "{} gives other bits", entry.name);
             assert_eq!(x.1, y.1, "{} does other work", entry.name);
         }
+    }
+}
+
+/// Surfaces that are mirrors without a roughness of 0: too smooth for a density, a square below that, a texture that may be.
+#[test]
+fn light_in_surfaces_that_are_nearly_smooth_is_not_left_out() {
+    let metal = |scene: &mut Scene, roughness: Roughness| {
+        let color = ConductorColor::Reflectance(Color::Constant(Vec3::splat(0.9)));
+        scene.add_material(Material::Conductor { color, roughness })
+    };
+    let makers: [fn(&mut Scene) -> MaterialId; 3] = [
+        |scene| scene.add_material(gltf_metal(0.0)),
+        |scene| scene.add_material(gltf_metal(0.03)),
+        |scene| {
+            let kind = TextureKind::Constant(Vec4::ZERO);
+            let texture = scene.add_texture(Texture { kind, mapping: Affine2::IDENTITY });
+            scene.add_material(Material::Conductor {
+                color: ConductorColor::Reflectance(Color::Constant(Vec3::splat(0.9))),
+                roughness: Roughness {
+                    u: Scalar::Texture(texture, Channel::Red),
+                    v: Scalar::Texture(texture, Channel::Red),
+                    remap: false,
+                },
+            })
+        },
+    ];
+    let nearly = |scene: &mut Scene| metal(scene, Roughness::isotropic(5e-4));
+    let glossy = |scene: &mut Scene| metal(scene, Roughness::isotropic(2e-3));
+    let stage = |make: &dyn Fn(&mut Scene) -> MaterialId| {
+        let mut scene = Scene::new("mirror");
+        let mirror = make(&mut scene);
+        let c = |x: f32, z: f32| Vec3::new(x, 0.0, z);
+        let floor = [c(-2.0, -2.0), c(-2.0, 2.0), c(2.0, 2.0), c(2.0, -2.0)];
+        scene.add_shape(Shape::new(polygon(&floor), mirror));
+        for x in [-0.4, 0.4] {
+            let ball = Geometry::Sphere { center: Vec3::new(x, 1.0, 0.5), radius: 0.3 };
+            scene.add_shape(Shape::new(ball, mirror).emitting(Vec3::splat(2.0)));
+        }
+        scene.camera = look_at(Vec3::new(0.0, 1.0, -1.5), Vec3::ZERO, 1.0);
+        Stage::new(scene).unwrap()
+    };
+    let shot = shot([24, 16], 2, 1);
+    let mut stages: Vec<Stage> = makers.iter().map(|make| stage(make)).collect();
+    stages.push(stage(&nearly));
+    for stage in stages {
+        assert!(stage.facts().delta_lobes);
+        // Reflections in mirrors have no noise.
+        let truth = last_frame(&stage, "nee", shot, 1).0;
+        assert!(truth.mean_luminance() > 0.05, "{}", truth.mean_luminance());
+        for spec in ["ris", "restir-di"] {
+            let found = last_frame(&stage, spec, shot, 2).0;
+            for (a, b) in found.pixels.iter().zip(&truth.pixels) {
+                assert!((*a - *b).abs().max_element() < 1e-5, "{spec}: {a} instead of {b}");
+            }
+        }
+    }
+    assert!(!stage(&glossy).facts().delta_lobes, "the control has a density");
+}
+
+fn gltf_metal(roughness: f32) -> Material {
+    Material::MetallicRoughness {
+        base_color: Color::Constant(Vec3::splat(0.9)),
+        metallic: Scalar::Constant(1.0),
+        roughness: Scalar::Constant(roughness),
+        ior: 1.5,
+        specular: Scalar::Constant(1.0),
+        specular_color: Color::Constant(Vec3::ONE),
+        transmission: Scalar::Constant(0.0),
+        double_sided: true,
     }
 }
 
@@ -178,7 +248,7 @@ fn a_surface_without_coverage_is_not_there() {
     let mut more = scene.clone();
     let corners = [(-1.0, 0.5), (1.0, 0.5), (1.0, 1.5), (-1.0, 1.5)];
     let veil = polygon(&corners.map(|(x, y)| Vec3::new(x, y, -0.875)));
-    let mut shape = afterimage::scene::Shape::new(veil, white);
+    let mut shape = Shape::new(veil, white);
     shape.alpha = Some(Scalar::Constant(0.0));
     more.add_shape(shape);
     assert_same(&scene, &more);

@@ -19,7 +19,7 @@ const TABLE: &[(&str, &[&str])] = &[
     ("path", &["world", "light", "surface", "accel", "scene", "math"]),
     ("resampling", &["math"]),
     ("direct", &["resampling", "path", "world", "light", "surface", "accel", "scene", "math"]),
-    ("plan", &["resampling", "world", "light", "scene", "math"]),
+    ("plan", &["resampling", "world", "light", "surface", "scene", "math"]),
     (
         "techniques",
         &[

@@ -12,7 +12,7 @@ use afterimage::direct::{
 use afterimage::light::LightPoint;
 use afterimage::math::luminance;
 use afterimage::math::rng::{BLOCK_LIGHT, PathSeeds, RandomSource, Stream, draw4, unit_float};
-use afterimage::path::Counters;
+use afterimage::path::{Counters, Limits, indirect_radiance, sampled, scattered_radiance};
 use afterimage::resampling::{
     ContributionWeight, Family, Finished, Input, Plain, ShiftMap, Shifted, WithVisibility,
     metropolis, mutated_weight, spatial,
@@ -50,10 +50,20 @@ enum Bug {
     VisibilityTwice,
     /// Candidates are selected by a number that also places them.
     SelectionIsPath,
+    /// Nothing, with a neighbour of the frame before, when the fence was elsewhere.
+    Moved,
+    /// The same, with its target asked in this frame's world.
+    MovedTargetNow,
+    /// W is made with the target that the sample had where it came from.
+    StaleTarget,
+    /// Nothing, in two rounds of merges.
+    TwoRounds,
+    /// Both rounds select by the same numbers.
+    RoundsAlike,
 }
 
-/// A glossy floor under two lamps and a point light, with a fence that hides part of one lamp from one pixel and of the other from the other.
-fn scene() -> Scene {
+/// A glossy floor under two lamps and a point light, with a fence at `x` that hides part of one lamp from one pixel and of the other from the other.
+fn scene(x: f32) -> Scene {
     let mut scene = Scene::new("two pixels");
     let glossy = scene.add_material(Material::Conductor {
         color: ConductorColor::Reflectance(Color::Constant(Vec3::ONE)),
@@ -63,7 +73,7 @@ fn scene() -> Scene {
     let c = |x: f32, y: f32, z: f32| Vec3::new(x, y, z);
     let floor = [c(-2.0, 0.0, -2.0), c(-2.0, 0.0, 2.0), c(2.0, 0.0, 2.0), c(2.0, 0.0, -2.0)];
     scene.add_shape(Shape::new(polygon(&floor), glossy));
-    let fence = [c(0.0, 0.05, -2.0), c(0.0, 0.17, -2.0), c(0.0, 0.17, 2.0), c(0.0, 0.05, 2.0)];
+    let fence = [c(x, 0.05, -2.0), c(x, 0.17, -2.0), c(x, 0.17, 2.0), c(x, 0.05, 2.0)];
     scene.add_shape(Shape::new(polygon(&fence), black));
     for (x, power) in [(-0.7, 6.0), (0.8, 8.0)] {
         let ball = Geometry::Sphere { center: c(x, 0.7, 0.4), radius: 0.25 };
@@ -74,12 +84,20 @@ fn scene() -> Scene {
     scene
 }
 
-fn world() -> World {
-    World::new(scene(), &BuildOptions::default()).unwrap()
+/// Now, and one frame ago.
+struct Worlds {
+    now: World,
+    before: World,
+}
+
+fn worlds() -> Worlds {
+    let [now, before] =
+        [0.0, 0.36].map(|x| World::new(scene(x), &BuildOptions::default()).unwrap());
+    Worlds { now, before }
 }
 
 /// The pixel and its neighbour, seen from two places; and the neighbour as the pixel's camera would see it.
-fn receivers(world: &World) -> [Receiver<'_>; 3] {
+fn receivers(world: &World, time: Time) -> [Receiver<'_>; 3] {
     let [left, right] = [Vec3::new(-0.25, 0.0, -0.1), Vec3::new(0.2, 0.0, 0.0)];
     let [near, far] = [Vec3::new(-0.4, 0.9, -1.2), Vec3::new(0.9, 0.6, -1.0)];
     let at = |point: Vec3, origin: Vec3| {
@@ -89,7 +107,7 @@ fn receivers(world: &World) -> [Receiver<'_>; 3] {
     let (a, from_near) = at(left, near);
     let (b, from_far) = at(right, far);
     [(a, from_near), (b, from_far), (b, from_near)]
-        .map(|(hit, direction)| Receiver::new(world, hit, direction, Time::Now))
+        .map(|(hit, direction)| Receiver::new(world, hit, direction, time))
 }
 
 fn sees(receiver: &Receiver<'_>, point: LightPoint) -> Option<(Vec3, bool)> {
@@ -156,7 +174,9 @@ impl<'a> ShiftMap for Planted<'a> {
         let reverse = !std::ptr::addr_eq(to, self.own);
         match self.bug {
             Bug::ReverseUnshadowed if reverse => self.unseen.shift(sample, from, to),
-            Bug::WrongView if reverse => self.seen.shift(sample, from, self.wrong),
+            Bug::WrongView | Bug::MovedTargetNow if reverse => {
+                self.seen.shift(sample, from, self.wrong)
+            }
             _ => self.seen.shift(sample, from, to),
         }
     }
@@ -228,8 +248,14 @@ fn mutated((kept, target): Kept, receiver: &Receiver<'_>, run: u64, bug: Bug) ->
 }
 
 /// One run's estimate at the pixel.
-fn estimate(world: &World, run: u64, bug: Bug, part: Part) -> f64 {
-    let [own, neighbour, wrong] = receivers(world);
+fn estimate(worlds: &Worlds, run: u64, bug: Bug, part: Part) -> f64 {
+    let [own, neighbour, wrong] = receivers(&worlds.now, Time::Now);
+    let (neighbour, wrong) = if matches!(bug, Bug::Moved | Bug::MovedTargetNow) {
+        let [_, before, _] = receivers(&worlds.before, Time::Before);
+        (before, neighbour)
+    } else {
+        (neighbour, wrong)
+    };
     let shown = |kept: &Kept, visibility: f32| {
         let (finished, target) = kept;
         let share = finished.sample.map_or(0.0, |point| part_of(part, point));
@@ -285,6 +311,22 @@ fn estimate(world: &World, run: u64, bug: Bug, part: Part) -> f64 {
     let canonical = Input { finished: a.0, target: a.1, domain: &own };
     let mut reservoir = Plain::default();
     let merged = spatial(&mut map, family, &canonical, others, &mut reservoir, &mut random, |_| ());
+    if bug == Bug::StaleTarget && merged.source > 0 {
+        return shown(&(merged.finished, merged.target), merged.target / b.1);
+    }
+    if matches!(bug, Bug::TwoRounds | Bug::RoundsAlike) {
+        // The second round's neighbour has candidates of its own, at the same place.
+        let (kept, seen) = initial(&neighbour, run, 2, bug);
+        let (finished, target) = if seen { kept } else { (Finished::empty(1.0), 0.0) };
+        let other = Input { finished, target, domain: &neighbour };
+        let canonical = Input { finished: merged.finished, target: merged.target, domain: &own };
+        let key = if bug == Bug::RoundsAlike { run << 8 | 0xF } else { run << 8 | 0xE };
+        let random = &mut Stream::from_key(key);
+        let mut reservoir = Plain::default();
+        let merged =
+            spatial(&mut map, family, &canonical, &[other][..], &mut reservoir, random, |_| ());
+        return shown(&(merged.finished, merged.target), 1.0);
+    }
     shown(&(merged.finished, merged.target), 1.0)
 }
 
@@ -292,14 +334,14 @@ const DELTA: f64 = 0.015;
 
 /// TOST of the pixel's mean over `200 · batches` runs.
 fn tested(bug: Bug, part: Part, batches: u64) -> (Equivalence, f64) {
-    let world = world();
-    let [own, ..] = receivers(&world);
+    let worlds = worlds();
+    let [own, ..] = receivers(&worlds.now, Time::Now);
     let truth = truth(&own, part);
     let means: Vec<f64> = (0..batches)
         .into_par_iter()
         .map(|batch| {
             let runs = batch * 200..(batch + 1) * 200;
-            runs.map(|run| estimate(&world, 1 + run, bug, part)).sum::<f64>() / 200.0
+            runs.map(|run| estimate(&worlds, 1 + run, bug, part)).sum::<f64>() / 200.0
         })
         .collect();
     let sample: Moments = means.into_iter().collect();
@@ -308,7 +350,7 @@ fn tested(bug: Bug, part: Part, batches: u64) -> (Equivalence, f64) {
 }
 
 /// A bug, what it is to be compared with, and what to look at.
-const CASES: [(Bug, Bug, Part); 7] = [
+const CASES: [(Bug, Bug, Part); 10] = [
     (Bug::ReverseUnshadowed, Bug::None, Part::All),
     (Bug::OneOverM, Bug::None, Part::All),
     (Bug::SampleRejected, Bug::None, Part::All),
@@ -316,6 +358,9 @@ const CASES: [(Bug, Bug, Part); 7] = [
     (Bug::MutatedWeightKept, Bug::Mutated, Part::All),
     (Bug::VisibilityTwice, Bug::Averaged, Part::All),
     (Bug::SelectionIsPath, Bug::None, Part::Of(0)),
+    (Bug::MovedTargetNow, Bug::Moved, Part::All),
+    (Bug::StaleTarget, Bug::None, Part::All),
+    (Bug::RoundsAlike, Bug::TwoRounds, Part::Of(0)),
 ];
 
 const BATCHES: u64 = 800;
@@ -363,10 +408,46 @@ fn a_selection_by_the_numbers_that_place_the_candidates() {
     caught(6);
 }
 
+#[test]
+fn the_last_frames_target_in_this_frames_world() {
+    caught(7);
+}
+
+#[test]
+fn a_target_kept_from_where_the_sample_came_from() {
+    caught(8);
+}
+
+#[test]
+fn two_rounds_that_select_by_the_same_numbers() {
+    caught(9);
+}
+
+/// What stands beside resampled light has none of it: emission would be counted in both. Without delta lobes nothing is left at depth 2.
+#[test]
+fn direct_light_counted_beside_resampled_light() {
+    let world = worlds().now;
+    let origin = Vec3::new(-0.4, 0.9, -1.2);
+    let direction = (Vec3::new(-0.25, 0.0, -0.1) - origin).normalize();
+    let hit = world.closest_hit(&Ray { origin, direction, t_max: f32::INFINITY }).unwrap();
+    let limits = Limits { depth: 2, roulette_after: 5 };
+    let counters = &mut Counters::default();
+    let (mut rest, mut all) = (Vec3::ZERO, Vec3::ZERO);
+    for seed in 0..1000 {
+        let primary = (direction, &hit);
+        rest += indirect_radiance(&world, &AcceptAll, seed, primary, limits, counters);
+        all += scattered_radiance::<{ sampled::ONE }, _>(
+            &world, &AcceptAll, seed, primary, limits, counters,
+        );
+    }
+    assert_eq!(rest, Vec3::ZERO);
+    assert!(all.x > 0.0, "the planted share has light");
+}
+
 /// Largest distance of Σ w / p̂(Y) from what a plain sum in f64 gives, over merges of one receiver.
 fn weight_error(factor: f32) -> f64 {
-    let world = world();
-    let [own, neighbour, _] = receivers(&world);
+    let worlds = worlds();
+    let [own, neighbour, _] = receivers(&worlds.now, Time::Now);
     let mut worst: f64 = 0.0;
     for run in 1..2000 {
         let inputs = [(&own, 0), (&neighbour, 1)].map(|(receiver, pixel)| {

@@ -894,6 +894,19 @@ fn occluded_samples_that_are_dropped_darken_the_penumbra_and_nothing_else() {
     assert!(lit.abs() + 3.1 * error < 0.01, "lit: {lit} ± {error}");
 }
 
+/// Stored outcomes age where all inputs are shown, too: a limit of 2 frames asks for more rays than none at all.
+#[test]
+fn stored_outcomes_age_where_all_inputs_are_shown() {
+    let stage = still().stage();
+    let rays = |age: u32| -> u64 {
+        let spec = format!("restir-di:visibility=reuse,decoupled=true,visibility-age={age}");
+        let (_, counters) = run(&stage, &spec, shot([32, 24], 2, 1), 30);
+        counters[20..].iter().map(|c| c.shadow_rays).sum()
+    };
+    let (limited, unlimited) = (rays(2), rays(255));
+    assert!(limited > unlimited + unlimited / 50, "{limited} of {unlimited}");
+}
+
 // ------ What is not needed ------
 
 fn run(stage: &Stage, spec: &str, shot: Shot, frames: u32) -> (Vec<Picture>, Vec<Counters>) {

@@ -805,6 +805,7 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
             _ => 0.0,
         };
         let mut seen = [false; MAX_NEIGHBOURS + 1];
+        let mut own_stored = Reused::unpack(record.visibility());
         let mut rays = Counters::default();
         let mut reservoir = Rich::default();
         let merged = spatial(
@@ -833,7 +834,10 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
                     let visible = match P {
                         policy::CONTROL => control.visible(),
                         policy::IN_TARGET => true,
-                        policy::REUSE => self.stored(record, receiver, &canonical, &mut rays),
+                        policy::REUSE => {
+                            own_stored = self.stored(own_stored, receiver, &canonical, &mut rays);
+                            own_stored.visible
+                        }
                         _ => canonical
                             .finished
                             .sample
@@ -863,7 +867,7 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
                 };
             }
         } else if P == policy::REUSE && decoupled {
-            kept = Reused::fresh(seen[0]).pack();
+            kept = own_stored.pack();
         }
         if P == policy::WIS {
             kept = pack_average(reservoir.inner().visibility());
@@ -940,19 +944,19 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
             if stored.usable(max_age, max_distance))
     }
 
-    /// The stored outcome of the own sample, or a ray where it may not be used.
+    /// The stored outcome of the own sample, as old as it is, or a ray's where it may not be used.
     fn stored(
         &self,
-        record: &Record,
+        stored: Reused,
         receiver: &Receiver<'_>,
         canonical: &Input<'_, LightPoint, Receiver<'_>, LightMeasure>,
         counters: &mut Counters,
-    ) -> bool {
-        let stored = Reused::unpack(record.visibility());
+    ) -> Reused {
         if self.usable(stored) {
-            return stored.visible;
+            return stored;
         }
-        canonical.finished.sample.is_some_and(|point| self.look(receiver, point, counters).1)
+        let sample = canonical.finished.sample;
+        Reused::fresh(sample.is_some_and(|point| self.look(receiver, point, counters).1))
     }
 
     /// A pixel within the radius, with its distance; `None` outside of the picture or at the pixel itself.
