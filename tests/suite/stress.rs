@@ -17,6 +17,7 @@ use afterimage::scene::{
 use afterimage::stats::{Estimate, Moments, welch};
 use afterimage::techniques::{REGISTRY, parse};
 use glam::{Affine2, Affine3A, Vec2, Vec3};
+use proptest::prelude::*;
 
 use crate::support::{diffuse, look_at, polygon, shot, sphere};
 
@@ -548,4 +549,105 @@ fn a_host_moves_its_scene() {
         moved.pixels, direct.pixels,
         "frame 1 of the moved scene is frame 1 of the scene as it stands"
     );
+}
+
+/// What a host may do with a loop.
+#[derive(Clone, Copy, Debug)]
+enum Call {
+    Render,
+    /// The scene as the host moved it.
+    RenderScene(u32),
+    Restart(u64),
+    Look,
+    /// Another technique, size and depth on the same stage.
+    Replace(usize, u32),
+}
+
+fn call() -> impl Strategy<Value = Call> {
+    prop_oneof![
+        4 => Just(Call::Render),
+        2 => (0..40_u32).prop_map(Call::RenderScene),
+        1 => any::<u64>().prop_map(Call::Restart),
+        1 => Just(Call::Look),
+        1 => (any::<usize>(), any::<u32>()).prop_map(|(a, b)| Call::Replace(a, b)),
+    ]
+}
+
+const SPECS: [&str; 7] = [
+    "nee",
+    "nee:lights=all",
+    "bsdf",
+    "ris:tiles=on",
+    "restir-di:rounds=2,neighbours=3,mutations=2",
+    "restir-di:visibility=wis-cv,boiling=0.5,max-age=3",
+    "restir-di:preset=interactive,decoupled=true",
+];
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 512, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// Any calls in any order: frames count up from 0, have the size asked for, and are finite.
+    #[test]
+    fn z7_any_calls_in_any_order(calls in proptest::collection::vec(call(), 1..40)) {
+        let mut scene = many_lights(6, 3);
+        scene.lights.push(Light {
+            to_world: Transform::Fixed(Affine3A::from_translation(Vec3::Y)),
+            kind: LightKind::Point { intensity: Vec3::ONE },
+            key: 77,
+        });
+        let stage = Stage::moving(scene.clone()).unwrap();
+        let begin = |which: usize, how: u32| {
+            let shot = Shot {
+                size: [1 + how % 9, 1 + how / 9 % 7],
+                depth: 1 + how / 63 % 4,
+                filter: if how % 2 == 0 { Filter::Point } else { Filter::Box },
+                run: u64::from(how),
+                effort: 1 + how / 252 % 3,
+                fps: 30,
+            };
+            let technique = Arc::from(parse(SPECS[which % SPECS.len()]).unwrap());
+            FrameLoop::new(technique, &stage, shot).unwrap()
+        };
+        let mut frames = begin(4, 100);
+        let mut next = 0;
+        for call in calls {
+            match call {
+                Call::Restart(run) => {
+                    frames.restart(run);
+                    next = 0;
+                    continue;
+                }
+                Call::Replace(which, how) => {
+                    frames = begin(which, how);
+                    next = 0;
+                    continue;
+                }
+                _ => {}
+            }
+            let [width, height] = frames.shot().size;
+            let frame = if let Call::RenderScene(step) = call {
+                let mut moved = scene.clone();
+                let slid = Affine3A::from_translation(0.05 * step as f32 * Vec3::X);
+                for instance in moved.instances.iter_mut().skip(1).step_by(2) {
+                    instance.to_world = Transform::Fixed(slid);
+                }
+                if step % 5 == 0 {
+                    // The host's own light goes and comes.
+                    moved.lights.clear();
+                }
+                frames.render_scene(moved).unwrap()
+            } else {
+                frames.render().unwrap()
+            };
+            prop_assert_eq!(frame.index, next);
+            prop_assert_eq!((frame.counters.non_finite, frame.counters.weights_rejected), (0, 0));
+            let picture = frame.picture();
+            prop_assert_eq!([picture.width, picture.height], [width, height]);
+            prop_assert_eq!(picture.non_finite() + frame.emission().non_finite(), 0);
+            if matches!(call, Call::Look) {
+                prop_assert_eq!(frame.guides().albedo.len(), (width * height) as usize);
+            }
+            next += 1;
+        }
+    }
 }
