@@ -43,7 +43,8 @@ impl Stage {
         Self::with_options(scene, &BuildOptions::default())
     }
 
-    /// Prepares a scene that the host will move from frame to frame ([`FrameLoop::render_scene`]): everything counts as moving.
+    /// Prepares a scene that the host will move from frame to frame ([`FrameLoop::render_scene`]): everything counts as moving, and lights as
+    /// coloured, since they may become so.
     ///
     /// # Errors
     /// As [`Stage::new`].
@@ -54,6 +55,7 @@ impl Stage {
         )?;
         let facts = &mut stage.facts;
         (facts.moving_camera, facts.moving_lights, facts.moving_geometry) = (true, true, true);
+        facts.grey_lights = false;
         Ok(stage)
     }
 
@@ -210,11 +212,12 @@ impl FrameLoop {
         self.step(moved, updated)
     }
 
-    /// Renders the next frame of a scene that the host moves: `scene` is as it stands now, with fixed transforms. Lights of other kinds than
-    /// the stage's scene had need a stage of their own.
+    /// Renders the next frame of a scene that the host moves: `scene` is as it stands now, with fixed transforms. Things may come, go and change,
+    /// but only be of kinds that the stage's scene had.
     ///
     /// # Errors
-    /// A stage that is not [`Stage::moving`], whose plan may have left out what motion needs; whatever [`Scene::validate`] refuses.
+    /// A stage that is not [`Stage::moving`], whose plan may have left out what motion needs; a kind of light or surface that the stage's scene had
+    /// not ([`SceneFacts::lacks`]), which the plan may have left out; whatever [`Scene::validate`] refuses.
     pub fn render_scene(&mut self, scene: Scene) -> Result<Frame<'_>> {
         let facts = &self.stage.facts;
         if !(facts.moving_camera && facts.moving_lights && facts.moving_geometry) {
@@ -225,6 +228,13 @@ impl FrameLoop {
         let begin = Instant::now();
         scene.validate()?;
         let moved = Arc::new(self.world.next(scene)?);
+        let now = SceneFacts::new(&moved.scene, moved.lights.counts());
+        if let Some(what) = self.stage.facts.lacks(&now) {
+            return Err(Error::usage(format!(
+                "the scene has {what}, but the one that the stage was made with has none, so the plan may leave out what that takes; \
+                 make the stage with a scene that has one"
+            )));
+        }
         let elapsed = begin.elapsed();
         self.step(Some(moved), Some(elapsed))
     }

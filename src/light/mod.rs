@@ -26,7 +26,7 @@ pub use remap::LightRemap;
 
 use crate::accel::triangle_orientation;
 use crate::math::{Frame, luminance, warp};
-use crate::scene::{Color, Emission, Geometry, LightKind, Scene, SpotFalloff};
+use crate::scene::{Color, Emission, Geometry, LightKind, Scalar, Scene, SpotFalloff};
 
 /// No light.
 pub const NO_LIGHT: u32 = u32::MAX;
@@ -100,7 +100,9 @@ struct Light {
     radiance: Color,
     scale: f32,
     two_sided: bool,
-    /// Texture coordinates of a triangle's corners, where its emission is textured.
+    /// Of its surface, where it is not 1: what a ray that meets the surface passes through, its points do not send.
+    coverage: Option<Scalar>,
+    /// Texture coordinates of a triangle's corners, where its emission or coverage is textured.
     uvs: [Vec2; 3],
     /// Instance or light key, shape, element: the same for the same light in every frame.
     key: [u64; 2],
@@ -149,12 +151,15 @@ impl Lights {
                 lights.first_of_shape.push(lights.lights.len() as u32);
                 let sides = if emission.two_sided { 2.0 } else { 1.0 };
                 let flip = if shape.reverse_orientation { -1.0 } else { 1.0 };
+                let whole = |alpha: &Scalar| matches!(alpha, Scalar::Constant(a) if *a >= 1.0);
+                let coverage = shape.alpha.filter(|alpha| !whole(alpha));
                 let mut push = |surface, uvs, element: u64, area: f32, mean: f32| {
                     lights.lights.push(Light {
                         surface,
                         radiance: emission.radiance,
                         scale: emission.scale,
                         two_sided: emission.two_sided,
+                        coverage,
                         uvs,
                         key: [instance.key, (number as u64) << 32 | element],
                     });
@@ -251,6 +256,7 @@ impl Lights {
                 radiance: Color::Constant(radiance),
                 scale: 1.0,
                 two_sided: true,
+                coverage: None,
                 uvs: DEFAULT_UVS,
                 key: [light.key, u64::MAX],
             });
@@ -346,7 +352,22 @@ impl Lights {
     #[inline]
     #[must_use]
     pub fn pdf_towards(&self, light: u32, from: Vec3, at: Vec3, cos_theta: f32) -> f32 {
+        if let Surface::Sphere { center, .. } = self.lights[light as usize].surface
+            && self.lights[light as usize].coverage.is_some()
+            && self.draws_cap(light, from)
+            && (at - center).dot(from - at) <= 0.0
+        {
+            // The far cap, through a hole: sampling draws the near one alone.
+            return 0.0;
+        }
         self.density_from(light, from, (at - from).length_squared(), cos_theta)
+    }
+
+    /// Whether the light is a sphere and `from` outside of it, so that the cap that faces it is drawn.
+    #[inline]
+    fn draws_cap(&self, light: u32, from: Vec3) -> bool {
+        matches!(self.lights[light as usize].surface,
+            Surface::Sphere { center, radius, .. } if outside_sphere(from, center, radius))
     }
 
     #[inline]
@@ -461,9 +482,19 @@ impl Light {
     /// Texture coordinates of a point of a sphere light; anything where its emission is the same everywhere.
     #[inline]
     fn uv_on_sphere(&self, normal: Vec3) -> Vec2 {
-        match self.radiance {
-            Color::Constant(_) => Vec2::ZERO,
-            Color::Texture(_) => uv_on_sphere(normal),
+        match (self.radiance, self.coverage) {
+            (Color::Constant(_), None | Some(Scalar::Constant(_))) => Vec2::ZERO,
+            _ => uv_on_sphere(normal),
+        }
+    }
+
+    /// What a point of the surface sends, on average over coverage's coin.
+    #[inline]
+    fn sent(&self, scene: &Scene, uv: Vec2) -> Vec3 {
+        let radiance = scene.color(self.radiance, uv) * self.scale;
+        match self.coverage {
+            None => radiance,
+            Some(alpha) => radiance * scene.scalar(alpha, uv).clamp(0.0, 1.0),
         }
     }
 }

@@ -79,7 +79,7 @@ impl Light {
             Surface::Sphere { outward, .. } => outward,
             _ => 1.0,
         };
-        let radiance = scene.color(self.radiance, self.uv_on_sphere(normal)) * self.scale;
+        let radiance = self.sent(scene, self.uv_on_sphere(normal));
         let hollow = self.two_sided || outward < 0.0;
         let kind = if hollow { kind::HOLLOW } else { kind::ONE_SIDED };
         EmitterPoint::new(light, position, normal * outward, radiance, kind)
@@ -172,7 +172,7 @@ impl Lights {
             Surface::Triangle { corner, edge1, edge2, normal, .. } => {
                 let b = warp::sample_uniform_triangle(point.uv);
                 let position = corner + edge1 * b.y + edge2 * b.z;
-                let radiance = scene.color(record.radiance, mix_uvs(record.uvs, b)) * record.scale;
+                let radiance = record.sent(scene, mix_uvs(record.uvs, b));
                 EmitterPoint::new(point.light, position, normal, radiance, record.side())
             }
             _ => self.other_emitter(scene, point),
@@ -185,7 +185,7 @@ impl Lights {
         let make = |position, normal, radiance, kind| {
             EmitterPoint::new(point.light, position, normal, radiance, kind)
         };
-        let emitted = |uv: Vec2| scene.color(record.radiance, uv) * record.scale;
+        let emitted = |uv: Vec2| record.sent(scene, uv);
         match record.surface {
             Surface::Triangle { .. } => None,
             Surface::Sphere { center, radius, .. } => {

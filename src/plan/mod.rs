@@ -130,6 +130,24 @@ impl SceneFacts {
         self.glossy_lobes |= rough && (varies || !bsdf.is_delta(0));
     }
 
+    /// What another scene has that a plan made for this one may have left out; `None` if nothing.
+    #[must_use]
+    pub fn lacks(&self, other: &Self) -> Option<&'static str> {
+        let (here, there) = (&self.lights, &other.lights);
+        let surfaces = |counts: &LightCounts| counts.triangles + counts.quadrics;
+        [
+            (surfaces(here) == 0 && surfaces(there) > 0, "an emitting surface"),
+            (here.delta == 0 && there.delta > 0, "a point, spot or distant light"),
+            (here.environments == 0 && there.environments > 0, "an environment"),
+            (!self.delta_lobes && other.delta_lobes, "a perfectly specular surface"),
+            (!self.glossy_lobes && other.glossy_lobes, "a glossy surface"),
+            (!self.transmission && other.transmission, "a surface that transmits"),
+            (!self.alpha && other.alpha, "a surface with coverage"),
+        ]
+        .into_iter()
+        .find_map(|(lacks, what)| lacks.then_some(what))
+    }
+
     /// Number of lights that can be drawn.
     #[must_use]
     pub fn light_count(&self) -> u32 {

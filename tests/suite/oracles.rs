@@ -37,12 +37,13 @@ use afterimage::scene::{
     Color, Emission, EnvironmentMapping, Geometry, Image, ImageData, LightKind, Roughness, Scene,
     Shape, SpotFalloff, Texture, TextureKind, Wrap,
 };
-use afterimage::scene::{Material, MaterialId};
+use afterimage::scene::{Material, MaterialId, Scalar};
 use glam::{Affine2, Affine3A, DVec2, DVec3, Vec3};
 
 use crate::support::{
-    against, along, assert_exact, assert_mean, assert_means, diffuse, environment, light, look_at,
-    metal, picture, polygon, receiver, restarts, shot, sphere, unbiased,
+    against, along, assert_exact, assert_mean, assert_means, assert_same_mean, diffuse,
+    environment, light, look_at, metal, picture, polygon, receiver, restarts, shot, sphere,
+    unbiased,
 };
 
 /// Pixels of most tests: few, as all see the same point; enough for bands on two threads.
@@ -634,4 +635,30 @@ fn too_few_paths_decide_nothing() {
     let stage = Stage::new(scene).unwrap();
     let sample = restarts(&stage, "bsdf", shot([2, 2], 2, 1), 64);
     assert_eq!(against(&sample, sample.mean()).verdict, afterimage::stats::Verdict::Inconclusive);
+}
+
+/// A lamp that half of the rays pass through sends half: what light sampling, which traces no ray to the lamp's own surface, must know by itself.
+#[test]
+fn a_lamp_with_coverage_sends_that_share_of_its_light() {
+    let stage = |alpha: Option<Scalar>, radiance: f32| {
+        let mut scene = Scene::new("veiled lamps");
+        let grey = diffuse(&mut scene, 0.5);
+        let c = |x: f32, y: f32, z: f32| Vec3::new(x, y, z);
+        let floor = [c(-2.0, 0.0, -2.0), c(-2.0, 0.0, 2.0), c(2.0, 0.0, 2.0), c(2.0, 0.0, -2.0)];
+        scene.add_shape(Shape::new(polygon(&floor), grey));
+        let lamp = [c(0.2, 1.0, -0.4), c(1.0, 1.0, -0.4), c(1.0, 1.0, 0.4), c(0.2, 1.0, 0.4)];
+        let ball = Geometry::Sphere { center: c(-0.6, 0.8, 0.0), radius: 0.3 };
+        for geometry in [polygon(&lamp), ball] {
+            let mut shape = Shape::new(geometry, grey).emitting(Vec3::splat(radiance));
+            shape.alpha = alpha;
+            scene.add_shape(shape);
+        }
+        scene.camera = look_at(c(0.0, 0.5, -1.5), c(0.0, 0.0, -0.2), 0.6);
+        Stage::new(scene).unwrap()
+    };
+    let (veiled, whole) = (stage(Some(Scalar::Constant(0.5)), 4.0), stage(None, 2.0));
+    for spec in ["bsdf", "nee", "ris", "restir-di"] {
+        let shot = shot([12, 8], 2, 1);
+        assert_same_mean((&veiled, shot), (&whole, shot), spec);
+    }
 }

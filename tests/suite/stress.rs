@@ -539,6 +539,14 @@ fn a_host_moves_its_scene() {
     let stage = Stage::moving(lit(0.0)).unwrap();
     let mut frames = FrameLoop::new(technique(), &stage, shot([16, 16], 3, 4)).unwrap();
     frames.render_scene(lit(0.0)).unwrap();
+    let mut other = lit(0.0);
+    other.lights.push(Light {
+        to_world: Transform::IDENTITY,
+        kind: LightKind::Environment { radiance: Vec3::ONE, image: None },
+        key: 5,
+    });
+    let error = frames.render_scene(other).unwrap_err();
+    assert!(error.is_usage() && error.to_string().contains("an environment"), "{error}");
     let moved = frames.render_scene(lit(1.5)).unwrap().picture();
     let mut alone =
         FrameLoop::new(technique(), &Stage::moving(lit(1.5)).unwrap(), shot([16, 16], 3, 4))

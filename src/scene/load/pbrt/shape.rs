@@ -70,6 +70,12 @@ impl Builder {
             Some(light) => Some(self.emission(&light)?).filter(emits),
             None => None,
         };
+        if emission.is_some() && matches!(alpha, Some(Scalar::Constant(0.0))) {
+            self.warnings.add(format!(
+                "{}: a shape that emits with `alpha` 0 is not there (pbrt: a light that no ray meets)",
+                params.place
+            ));
+        }
         let reverse_orientation = self.state.reverse_orientation;
         let shape = Shape { geometry, material, emission, alpha, reverse_orientation };
         self.place_shape(shape, params)
