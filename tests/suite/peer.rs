@@ -13,10 +13,10 @@ use std::time::Instant;
 
 use afterimage::frame::{FrameLoop, Stage};
 use afterimage::plan::{Filter, Shot};
-use afterimage::scene::{Scene, generate_pbrt, load};
+use afterimage::scene::{Scene, Transform, generate_pbrt, load};
 use afterimage::stats::Moments;
 use afterimage::techniques::parse;
-use glam::Vec3;
+use glam::{Mat4, Vec3};
 
 use crate::references::{mask, read_exr, shared};
 use crate::support::picture;
@@ -210,8 +210,16 @@ fn long_a_thousand_lights_at_depth_two() {
     let size = [192, 108];
     let pixels = f64::from(size[0] * size[1]);
     let text = generate_pbrt("many-lights:1000").unwrap();
-    std::fs::write(mitsuba.folder.join("scene.pbrt"), text).unwrap();
-    let scene: Scene = load::load(&mitsuba.folder.join("scene.pbrt")).unwrap().scene;
+    let file = mitsuba.folder.join("scene.pbrt");
+    std::fs::write(&file, &text).unwrap();
+    let scene: Scene = load::load(&file).unwrap().scene;
+    // The peer's reader knows no LookAt.
+    let Transform::Fixed(to_world) = scene.camera.to_world else { panic!("the camera moves") };
+    let columns = Mat4::from(to_world.inverse()).to_cols_array();
+    let matrix: Vec<String> = columns.iter().map(f32::to_string).collect();
+    let line = text.lines().find(|line| line.starts_with("LookAt")).expect("a camera");
+    let text = text.replace(line, &format!("Transform [ {} ]", matrix.join(" ")));
+    std::fs::write(&file, text).unwrap();
     let stage = Stage::new(scene).unwrap();
     let counts = counted(&stage, size);
     let peer = mitsuba.run(&mitsuba.folder, size, 2, 256, 16);
