@@ -608,7 +608,7 @@ proptest! {
             let shot = Shot {
                 size: [1 + how % 9, 1 + how / 9 % 7],
                 depth: 1 + how / 63 % 4,
-                filter: if how % 2 == 0 { Filter::Point } else { Filter::Box },
+                filter: if how.is_multiple_of(2) { Filter::Point } else { Filter::Box },
                 run: u64::from(how),
                 effort: 1 + how / 252 % 3,
                 fps: 30,
@@ -639,7 +639,7 @@ proptest! {
                 for instance in moved.instances.iter_mut().skip(1).step_by(2) {
                     instance.to_world = Transform::Fixed(slid);
                 }
-                if step % 5 == 0 {
+                if step.is_multiple_of(5) {
                     // The host's own light goes and comes.
                     moved.lights.clear();
                 }
