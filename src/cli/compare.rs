@@ -426,12 +426,7 @@ fn restarts(
                 if at > 0 || judged.frames == 1 {
                     *work = *work + frame.counters;
                     *work_frames += 1;
-                    for &(name, ms) in frame.passes {
-                        match passes.iter_mut().find(|(known, _)| *known == name) {
-                            Some((_, times)) => times.push(ms),
-                            None => passes.push((name, vec![ms])),
-                        }
-                    }
+                    engine::add_times(passes, frame);
                 }
                 if emission.is_none() && at + 1 == judged.frames {
                     *emission = Some(frame.emission());

@@ -133,6 +133,16 @@ pub(super) fn next(frames: &mut FrameLoop) -> Result<Frame<'_>> {
     frames.render()
 }
 
+/// Adds a frame's milliseconds of each pass to those of other frames.
+pub(super) fn add_times(passes: &mut Vec<(&'static str, Vec<f64>)>, frame: &Frame<'_>) {
+    for &(name, ms) in frame.passes {
+        match passes.iter_mut().find(|(known, _)| *known == name) {
+            Some((_, times)) => times.push(ms),
+            None => passes.push((name, vec![ms])),
+        }
+    }
+}
+
 /// The weighted mean of pictures of one size, summed in f64.
 #[derive(Debug)]
 pub(super) struct Mean {

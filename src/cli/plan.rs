@@ -78,12 +78,7 @@ fn measured(engine: &Engine, technique: &Arc<dyn Technique>, count: u32) -> Resu
         if index >= count / 2 {
             totals.push(frame.milliseconds());
             work = work + frame.counters;
-            for &(name, ms) in frame.passes {
-                match passes.iter_mut().find(|(known, _)| *known == name) {
-                    Some((_, times)) => times.push(ms),
-                    None => passes.push((name, vec![ms])),
-                }
-            }
+            engine::add_times(&mut passes, &frame);
         }
         progress.step();
     }
