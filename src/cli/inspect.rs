@@ -91,7 +91,7 @@ pub(super) fn run(args: &InspectArgs) -> Result<Status> {
         }
         let frame = engine::next(&mut frames)?;
         let value = frame.picture().at(x, y);
-        reservoir = kept(&frame, (y * width + x) as usize).or(reservoir);
+        reservoir = kept(&frame, (y * width + x) as usize);
         let grey = luminance(value);
         moments.push(f64::from(grey));
         zeros += u32::from(value == Vec3::ZERO);

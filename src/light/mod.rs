@@ -352,31 +352,17 @@ impl Lights {
     #[inline]
     #[must_use]
     pub fn pdf_towards(&self, light: u32, from: Vec3, at: Vec3, cos_theta: f32) -> f32 {
-        if let Surface::Sphere { center, .. } = self.lights[light as usize].surface
-            && self.lights[light as usize].coverage.is_some()
-            && self.draws_cap(light, from)
-            && (at - center).dot(from - at) <= 0.0
-        {
-            // The far cap, through a hole: sampling draws the near one alone.
-            return 0.0;
-        }
         self.density_from(light, from, (at - from).length_squared(), cos_theta)
-    }
-
-    /// Whether the light is a sphere and `from` outside of it, so that the cap that faces it is drawn.
-    #[inline]
-    fn draws_cap(&self, light: u32, from: Vec3) -> bool {
-        matches!(self.lights[light as usize].surface,
-            Surface::Sphere { center, radius, .. } if outside_sphere(from, center, radius))
     }
 
     #[inline]
     fn density_from(&self, light: u32, from: Vec3, squared: f32, cos_theta: f32) -> f32 {
-        match self.lights[light as usize].surface {
-            Surface::Sphere { center, radius, .. } if outside_sphere(from, center, radius) => {
+        let record = &self.lights[light as usize];
+        match record.cap(from) {
+            Some((center, radius)) => {
                 warp::uniform_cone_pdf(one_minus_cos_cone(from, center, radius))
             }
-            surface => per_solid_angle(area(surface), squared, cos_theta),
+            None => per_solid_angle(area(record.surface), squared, cos_theta),
         }
     }
 }
@@ -479,6 +465,27 @@ fn sample_sphere_cone(from: Vec3, center: Vec3, radius: f32, u: Vec2) -> Option<
 }
 
 impl Light {
+    /// Centre and radius of a sphere that `from` sees from outside, so that points are drawn on the cap that faces it, in the cone it fills.
+    /// `None` where points are drawn by area: on other shapes, from inside, and where the far cap's inside shines through holes in the near one.
+    #[inline]
+    fn cap(&self, from: Vec3) -> Option<(Vec3, f32)> {
+        match self.surface {
+            Surface::Sphere { center, radius, .. }
+                if outside_sphere(from, center, radius)
+                    && (self.coverage.is_none() || !self.is_hollow()) =>
+            {
+                Some((center, radius))
+            }
+            _ => None,
+        }
+    }
+
+    /// Whether it is a sphere whose inside shines.
+    #[inline]
+    fn is_hollow(&self) -> bool {
+        matches!(self.surface, Surface::Sphere { outward, .. } if self.two_sided || outward < 0.0)
+    }
+
     /// Texture coordinates of a point of a sphere light; anything where its emission is the same everywhere.
     #[inline]
     fn uv_on_sphere(&self, normal: Vec3) -> Vec2 {
@@ -494,6 +501,7 @@ impl Light {
         let radiance = scene.color(self.radiance, uv) * self.scale;
         match self.coverage {
             None => radiance,
+            // A texture may leave [0, 1]; a ray's coin takes what is above for 1 and what is below for 0.
             Some(alpha) => radiance * scene.scalar(alpha, uv).clamp(0.0, 1.0),
         }
     }

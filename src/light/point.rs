@@ -11,7 +11,7 @@ use bytemuck::{Pod, Zeroable};
 use glam::{Vec2, Vec3};
 
 use super::{Incident, Light, LightPoint, Lights, Surface};
-use super::{area, constant, extent, mix_uvs, outside_sphere};
+use super::{area, constant, extent, mix_uvs};
 use super::{one_minus_cos_cone, sample_sphere_cone, spot_falloff};
 use crate::accel::{Hit, HitPoint};
 use crate::math::{gamma, offset_origin, warp};
@@ -80,8 +80,7 @@ impl Light {
             _ => 1.0,
         };
         let radiance = self.sent(scene, self.uv_on_sphere(normal));
-        let hollow = self.two_sided || outward < 0.0;
-        let kind = if hollow { kind::HOLLOW } else { kind::ONE_SIDED };
+        let kind = if self.is_hollow() { kind::HOLLOW } else { kind::ONE_SIDED };
         EmitterPoint::new(light, position, normal * outward, radiance, kind)
     }
 
@@ -268,13 +267,13 @@ impl Lights {
     #[inline]
     #[must_use]
     pub fn point_towards(&self, light: u32, from: Vec3, u: Vec2) -> LightPoint {
-        match self.lights[light as usize].surface {
-            Surface::Sphere { center, radius, .. } if outside_sphere(from, center, radius) => {
+        match self.lights[light as usize].cap(from) {
+            Some((center, radius)) => {
                 let at = sample_sphere_cone(from, center, radius, u);
                 let normal = at.map_or(Vec3::Z, |at| (at - center) / radius);
                 LightPoint { light, uv: warp::invert_uniform_sphere(normal) }
             }
-            _ => self.point_with(light, u),
+            None => self.point_with(light, u),
         }
     }
 
@@ -289,12 +288,12 @@ impl Lights {
         u: Vec2,
     ) -> Option<EmitterPoint> {
         let record = &self.lights[light as usize];
-        match record.surface {
-            Surface::Sphere { center, radius, .. } if outside_sphere(from, center, radius) => {
+        match record.cap(from) {
+            Some((center, radius)) => {
                 let position = sample_sphere_cone(from, center, radius, u)?;
                 record.on_sphere(scene, light, position, (position - center) / radius)
             }
-            _ => self.emitter(scene, self.point_with(light, u)),
+            None => self.emitter(scene, self.point_with(light, u)),
         }
     }
 
@@ -339,13 +338,13 @@ impl Lights {
     #[inline]
     #[must_use]
     pub fn density_towards(&self, point: LightPoint, from: Vec3, geometry: f32) -> f32 {
-        match self.lights[point.light as usize].surface {
-            Surface::Sphere { center, radius, .. } if outside_sphere(from, center, radius) => {
+        match self.lights[point.light as usize].cap(from) {
+            Some((center, radius)) => {
                 self.choice_probability(point.light)
                     * warp::uniform_cone_pdf(one_minus_cos_cone(from, center, radius))
                     * geometry
             }
-            _ => self.uniform_density(point),
+            None => self.uniform_density(point),
         }
     }
 
@@ -391,12 +390,12 @@ impl Lights {
 
     /// Whether a hollow sphere's point, whose stored normal has `cos` to the receiver, sends nothing there.
     fn hollow_is_dark(&self, light: u32, from: Vec3, cos: f32) -> bool {
-        let Light { surface, two_sided, .. } = self.lights[light as usize];
-        match surface {
-            Surface::Sphere { center, radius, outward } if outside_sphere(from, center, radius) => {
-                !two_sided || cos * outward <= 0.0
+        let record = &self.lights[light as usize];
+        match record.surface {
+            Surface::Sphere { outward, .. } if record.cap(from).is_some() => {
+                !record.two_sided || cos * outward <= 0.0
             }
-            _ if two_sided => cos == 0.0,
+            _ if record.two_sided => cos == 0.0,
             _ => cos <= 0.0,
         }
     }

@@ -140,8 +140,6 @@ impl SceneFacts {
             (here.delta == 0 && there.delta > 0, "a point, spot or distant light"),
             (here.environments == 0 && there.environments > 0, "an environment"),
             (!self.delta_lobes && other.delta_lobes, "a perfectly specular surface"),
-            (!self.glossy_lobes && other.glossy_lobes, "a glossy surface"),
-            (!self.transmission && other.transmission, "a surface that transmits"),
             (!self.alpha && other.alpha, "a surface with coverage"),
         ]
         .into_iter()

@@ -638,9 +638,10 @@ fn too_few_paths_decide_nothing() {
 }
 
 /// A lamp that half of the rays pass through sends half: what light sampling, which traces no ray to the lamp's own surface, must know by itself.
+/// A ball that shines both ways also shows the inside of its far cap through the near one: L/2 + L/4.
 #[test]
 fn a_lamp_with_coverage_sends_that_share_of_its_light() {
-    let stage = |alpha: Option<Scalar>, radiance: f32| {
+    let stage = |alpha: Option<Scalar>, lamp_radiance: f32, ball_radiance: f32| {
         let mut scene = Scene::new("veiled lamps");
         let grey = diffuse(&mut scene, 0.5);
         let c = |x: f32, y: f32, z: f32| Vec3::new(x, y, z);
@@ -648,16 +649,21 @@ fn a_lamp_with_coverage_sends_that_share_of_its_light() {
         scene.add_shape(Shape::new(polygon(&floor), grey));
         let lamp = [c(0.2, 1.0, -0.4), c(1.0, 1.0, -0.4), c(1.0, 1.0, 0.4), c(0.2, 1.0, 0.4)];
         let ball = Geometry::Sphere { center: c(-0.6, 0.8, 0.0), radius: 0.3 };
-        for geometry in [polygon(&lamp), ball] {
-            let mut shape = Shape::new(geometry, grey).emitting(Vec3::splat(radiance));
+        let black = diffuse(&mut scene, 0.0);
+        for (geometry, radiance, two_sided) in
+            [(polygon(&lamp), lamp_radiance, false), (ball, ball_radiance, alpha.is_some())]
+        {
+            let mut shape = Shape::new(geometry, black).emitting(Vec3::splat(radiance));
             shape.alpha = alpha;
+            shape.emission.as_mut().unwrap().two_sided = two_sided;
             scene.add_shape(shape);
         }
         scene.camera = look_at(c(0.0, 0.5, -1.5), c(0.0, 0.0, -0.2), 0.6);
         Stage::new(scene).unwrap()
     };
-    let (veiled, whole) = (stage(Some(Scalar::Constant(0.5)), 4.0), stage(None, 2.0));
-    for spec in ["bsdf", "nee", "ris", "restir-di"] {
+    let veiled = stage(Some(Scalar::Constant(0.5)), 4.0, 4.0);
+    let whole = stage(None, 2.0, 3.0);
+    for spec in ["bsdf", "nee", "nee:lights=all", "ris", "restir-di"] {
         let shot = shot([12, 8], 2, 1);
         assert_same_mean((&veiled, shot), (&whole, shot), spec);
     }
