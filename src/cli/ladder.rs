@@ -176,10 +176,7 @@ fn tasks(args: &VerifyArgs) -> Result<Vec<Task<'static>>> {
     let name = args.technique.split(':').next().unwrap_or_default();
     // An unknown technique shall not be told that a rung's parameters are wrong.
     engine::technique(&args.technique)?;
-    let still = |rung: &Rung, text: &str| text == "still" && rung.motion == Motion::Still;
-    let wanted = |rung: &Rung| {
-        args.rungs.as_ref().is_none_or(|text| rung.name.contains(text) || still(rung, text))
-    };
+    let wanted = |rung: &Rung| args.rungs.as_ref().is_none_or(|text| is_wanted(rung, text, name));
     let mut tasks = Vec::new();
     let mut number = 0;
     for rung in rungs(name) {
@@ -199,6 +196,13 @@ fn tasks(args: &VerifyArgs) -> Result<Vec<Task<'static>>> {
         )));
     }
     Ok(tasks)
+}
+
+/// Whether `text` asks for a rung of `technique`: by its name, where one has just that, else by a part of it.
+fn is_wanted(rung: &Rung, text: &str, technique: &str) -> bool {
+    let named = rungs(technique).iter().any(|rung| rung.name == text);
+    let still = text == "still" && rung.motion == Motion::Still;
+    if named { rung.name == text } else { rung.name.contains(text) || still }
 }
 
 fn rungs(technique: &str) -> &'static [Rung] {
@@ -379,6 +383,17 @@ mod tests {
         }
         assert_eq!(rungs("nee").len(), 5);
         assert!(rungs("restir-di").len() > 15);
+    }
+
+    #[test]
+    fn a_rungs_whole_name_asks_for_it_alone() {
+        let asked = |text: &str| -> Vec<&str> {
+            let all = rungs("restir-di").iter();
+            all.filter(|rung| is_wanted(rung, text, "restir-di")).map(|rung| rung.name).collect()
+        };
+        assert_eq!(asked("mutations"), ["mutations"]);
+        assert_eq!(asked("mutation"), ["mutations", "moving, mutations"]);
+        assert!(asked("moving").len() > 3 && asked("still").len() > 10);
     }
 
     #[test]

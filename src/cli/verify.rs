@@ -64,7 +64,7 @@ pub(super) struct VerifyArgs {
     /// Verify SPEC as far as its parts go: a table of rungs, each with parameters and motion of its own; depth 2 unless given
     #[arg(long)]
     pub ladder: bool,
-    /// Only rungs whose name contains this; `still`: all without motion
+    /// Only the rung of this name, or rungs whose name contains it; `still`: all without motion
     #[arg(long, value_name = "TEXT", requires = "ladder")]
     pub rungs: Option<String>,
     /// Minutes that the ladder may take; rungs get as many restarts as fit [default: no limit, with --quick 7]
