@@ -37,6 +37,8 @@ pub(crate) enum ErrorKind {
     Usage,
     /// A run was interrupted by the user.
     Interrupted,
+    /// No graphics processor, one that lacks something, or one that failed.
+    Gpu,
 }
 
 /// A position inside a file.
@@ -105,6 +107,18 @@ impl Error {
     #[must_use]
     pub fn is_usage(&self) -> bool {
         self.inner.kind == ErrorKind::Usage
+    }
+
+    /// A graphics processor that is not there, lacks something or failed.
+    #[cfg(feature = "gpu")]
+    pub(crate) fn gpu(message: impl Into<String>) -> Self {
+        Self::new(ErrorKind::Gpu, message)
+    }
+
+    /// Whether there was no graphics processor, or one that lacks something or failed; the CPU can run the same.
+    #[must_use]
+    pub fn is_gpu(&self) -> bool {
+        self.inner.kind == ErrorKind::Gpu
     }
 
     /// Whether the user stopped the run.

@@ -72,6 +72,8 @@ pub mod cli;
 pub mod direct;
 pub mod error;
 pub mod frame;
+#[cfg(feature = "gpu")]
+pub mod gpu;
 pub mod light;
 pub mod math;
 pub mod metrics;

@@ -52,6 +52,12 @@ impl Emitters {
         Ok(Self { accel: Accel::build(&only, &options)?, first: lights.firsts() })
     }
 
+    /// Their geometry, and the first light of each shape in it.
+    #[cfg(feature = "gpu")]
+    pub(crate) fn parts(&self) -> (&Accel, &[u32]) {
+        (&self.accel, &self.first)
+    }
+
     /// All points of emitting surfaces along a ray, in no particular order, occluded ones among them.
     #[inline]
     pub fn along(&self, ray: &Ray, lights: &Lights, visit: impl FnMut(LightPoint)) {

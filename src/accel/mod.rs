@@ -12,6 +12,8 @@
 //! f64 and t is shared, as the direction is not normalised. Quadrics are always tested in their object's space.
 
 mod build;
+#[cfg(feature = "gpu")]
+pub(crate) mod export;
 mod node;
 mod point;
 mod quadric;

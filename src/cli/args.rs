@@ -20,8 +20,11 @@ pub(super) struct PictureArgs {
     #[arg(long, value_name = "S", default_value_t = 1)]
     pub seed: u64,
     /// What runs the frames
-    #[arg(long, value_enum, default_value_t = Backend::Cpu)]
-    pub backend: Backend,
+    #[arg(long, value_enum, default_value_t = BackendArg::Cpu)]
+    pub backend: BackendArg,
+    /// With --backend gpu, the first adapter whose name contains this, API in brackets: see `afterimage list adapters`
+    #[arg(long, value_name = "NAME")]
+    pub adapter: Option<String>,
     /// Threads [default: one a logical core]
     #[arg(long, value_name = "T", value_parser = clap::value_parser!(u16).range(1..=4096))]
     pub threads: Option<u16>,
@@ -61,10 +64,10 @@ impl FilterArg {
 
 /// Where frames are computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(super) enum Backend {
+pub(super) enum BackendArg {
     /// All cores, or --threads
     Cpu,
-    /// The graphics processor
+    /// The graphics processor; references stay on the CPU
     Gpu,
 }
 

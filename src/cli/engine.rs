@@ -3,9 +3,9 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use super::args::{Backend, FilterArg, PictureArgs, default_depth, default_size};
+use super::args::{BackendArg, FilterArg, PictureArgs, default_depth, default_size};
 use super::{interrupt, note};
-use crate::frame::{Frame, FrameLoop, Stage};
+use crate::frame::{Backend, Frame, FrameLoop, Stage};
 use crate::picture::Picture;
 use crate::plan::{Filter, Plan, Shot};
 use crate::report::CacheKey;
@@ -24,6 +24,8 @@ pub(super) struct Engine {
     pub stage: Stage,
     /// With effort 1.
     pub shot: Shot,
+    /// What runs the frames.
+    pub backend: Backend,
 }
 
 /// Reads a scene file, or makes the scene that a generator's name asks for; warnings go to standard error, once.
@@ -41,6 +43,36 @@ pub(super) fn load(scene: &str) -> Result<scene::Scene> {
     Ok(scene)
 }
 
+/// What runs the frames, opened once a process.
+#[cfg(feature = "gpu")]
+fn backend(args: &PictureArgs) -> Result<Backend> {
+    use std::sync::Mutex;
+    static OPEN: Mutex<Option<(Option<String>, Arc<crate::gpu::Gpu>)>> = Mutex::new(None);
+    if args.backend == BackendArg::Cpu {
+        if args.adapter.is_some() {
+            return Err(Error::usage("`--adapter` needs `--backend gpu`"));
+        }
+        return Ok(Backend::Cpu);
+    }
+    let mut open = OPEN.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    if let Some((adapter, gpu)) = &*open
+        && *adapter == args.adapter
+    {
+        return Ok(Backend::Gpu(gpu.clone()));
+    }
+    let gpu = crate::gpu::Gpu::open(args.adapter.as_deref())?;
+    *open = Some((args.adapter.clone(), gpu.clone()));
+    Ok(Backend::Gpu(gpu))
+}
+
+#[cfg(not(feature = "gpu"))]
+fn backend(args: &PictureArgs) -> Result<Backend> {
+    match args.backend {
+        BackendArg::Cpu if args.adapter.is_none() => Ok(Backend::Cpu),
+        _ => Err(Error::usage("this build has no backend `gpu` (feature `gpu`); known: cpu")),
+    }
+}
+
 impl Engine {
     /// Loads the scene and settles size and depth: the option, else `size`, else the scene's.
     pub(super) fn open(
@@ -49,9 +81,7 @@ impl Engine {
         filter: FilterArg,
         size: Option<[u32; 2]>,
     ) -> Result<Self> {
-        if args.backend == Backend::Gpu {
-            return Err(Error::usage("this build has no backend `gpu`; known: cpu"));
-        }
+        let backend = backend(args)?;
         if let Some(threads) = args.threads {
             // Fails only where the pool exists already, with the threads of the same option.
             let _ = rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global();
@@ -69,7 +99,7 @@ impl Engine {
             fps: args.fps,
         };
         let name = loaded.name.clone();
-        Ok(Self { scene: scene.to_string(), name, stage: Stage::new(loaded)?, shot })
+        Ok(Self { scene: scene.to_string(), name, stage: Stage::new(loaded)?, shot, backend })
     }
 
     /// The same settings on the scene as it stands in frame `index`, without motion.
@@ -88,7 +118,13 @@ impl Engine {
     }
 
     fn with_stage(&self, stage: Stage) -> Self {
-        Self { scene: self.scene.clone(), name: self.name.clone(), stage, shot: self.shot }
+        Self {
+            scene: self.scene.clone(),
+            name: self.name.clone(),
+            stage,
+            shot: self.shot,
+            backend: self.backend.clone(),
+        }
     }
 
     /// What a technique will run here.
@@ -103,7 +139,19 @@ impl Engine {
         effort: u32,
         seed: u64,
     ) -> Result<FrameLoop> {
-        FrameLoop::new(technique.clone(), &self.stage, Shot { effort, run: seed, ..self.shot })
+        let shot = Shot { effort, run: seed, ..self.shot };
+        FrameLoop::with_backend(technique.clone(), &self.stage, shot, &self.backend)
+    }
+
+    /// As [`Engine::start`], on the CPU whatever runs the frames: for references, which all backends share.
+    pub(super) fn start_reference(
+        &self,
+        technique: &Arc<dyn Technique>,
+        effort: u32,
+        seed: u64,
+    ) -> Result<FrameLoop> {
+        let shot = Shot { effort, run: seed, ..self.shot };
+        FrameLoop::new(technique.clone(), &self.stage, shot)
     }
 
     /// The key of everything that the scene and the settings, but not the run, say about a picture.

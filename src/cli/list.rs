@@ -33,12 +33,25 @@ pub(super) fn run(args: &ListArgs) -> Result<Status> {
             techniques::REGISTRY.iter().map(technique).collect::<Vec<_>>().join("\n")
         }
         What::Scenes => scenes()?,
-        What::Adapters => {
-            "none: this build has no GPU backend; frames run on the CPU\n".to_string()
-        }
+        What::Adapters => adapters(),
     };
     print(&text)?;
     Ok(Status::Done)
+}
+
+#[cfg(feature = "gpu")]
+fn adapters() -> String {
+    let all = crate::gpu::adapters();
+    if all.is_empty() {
+        return "none: no Vulkan, Metal or Dx12 driver was found (on Debian, mesa-vulkan-drivers brings one in software)\n"
+            .to_string();
+    }
+    table(all.into_iter().map(|a| (a.to_string(), format!("{}, {}", a.kind, a.driver))))
+}
+
+#[cfg(not(feature = "gpu"))]
+fn adapters() -> String {
+    "none: this build has no GPU backend (feature `gpu`); frames run on the CPU\n".to_string()
 }
 
 /// A technique with its parameters.

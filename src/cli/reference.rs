@@ -79,7 +79,8 @@ pub(super) fn obtain(
         let progress = Progress::new("reference", 1);
         // Frames of one session have consecutive numbers under one seed, and no two sessions start after equally many frames.
         let first = reference.frames() as u32;
-        let mut frames = engine.start(&technique, EFFORT, seed(SEED, Part::Reference, 0, first))?;
+        let mut frames =
+            engine.start_reference(&technique, EFFORT, seed(SEED, Part::Reference, 0, first))?;
         while !good(&reference, variance) {
             let frame = match engine::next(&mut frames) {
                 Ok(frame) => frame,
@@ -134,7 +135,8 @@ fn good(reference: &Reference, variance: f64) -> bool {
 /// α = 10⁻⁶ in all. Student's t with 31 degrees of freedom exceeds 6.8 with probability 10⁻⁷, so 32 frames of 256² pixels with
 /// c = σ/μ = 1 show a change of 0.5 % of the whole picture.
 fn agrees(engine: &Engine, spec: &str, reference: &Reference) -> Result<bool> {
-    let mut frames = engine.start(&engine::technique(spec)?, 1, seed(SEED, Part::Check, 0, 0))?;
+    let mut frames =
+        engine.start_reference(&engine::technique(spec)?, 1, seed(SEED, Part::Check, 0, 0))?;
     let mut fresh = super::bias::restarts(engine.shot.size)?;
     for _ in 0..CHECK_FRAMES {
         fresh.push(&engine::next(&mut frames)?.picture().pixels)?;

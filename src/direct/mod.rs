@@ -22,6 +22,12 @@ mod record;
 mod tests;
 mod visibility;
 
+/// [`Reused`], [`Control`] and averages of visibility in WGSL; needs nothing.
+pub const VISIBILITY_WGSL: &str = include_str!("visibility.wgsl");
+
+/// All of this module in WGSL; needs the scene's.
+pub(crate) const DIRECT_WGSL: &str = include_str!("direct.wgsl");
+
 pub(crate) use candidates::TILE;
 pub use candidates::{Candidates, Chosen, TileEntry, candidates, fill_tile};
 pub use control::Control;

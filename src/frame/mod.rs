@@ -8,6 +8,8 @@
 //! of threads. Threads are those of the rayon pool that the caller installs.
 
 mod cpu;
+#[cfg(feature = "gpu")]
+mod gpu;
 mod guides;
 
 use std::sync::Arc;
@@ -22,7 +24,7 @@ use crate::error::{Error, Result};
 use crate::path::{Counters, emitted};
 use crate::picture::Picture;
 use crate::plan::{BufferId, Elements, Kernel, Plan, Runs, SceneFacts, Shot};
-use crate::scene::Scene;
+use crate::scene::{CameraRays, Scene};
 use crate::techniques::{Band, Buffer, FrameInputs, Motion, PrimaryHit, Technique};
 use crate::world::{WithFilter, World};
 
@@ -92,6 +94,18 @@ impl Stage {
     }
 }
 
+/// What runs a loop's passes. State has the same bytes on both.
+#[derive(Clone, Debug, Default)]
+#[non_exhaustive]
+pub enum Backend {
+    /// The threads of the rayon pool that the caller installs.
+    #[default]
+    Cpu,
+    /// A graphics processor. A technique without kernels for one runs on the CPU ([`FrameLoop::runs_on`]).
+    #[cfg(feature = "gpu")]
+    Gpu(Arc<crate::gpu::Gpu>),
+}
+
 /// Runs one technique on one scene, frame after frame.
 #[derive(Debug)]
 pub struct FrameLoop {
@@ -105,6 +119,23 @@ pub struct FrameLoop {
     next_frame: u32,
     /// Of the last frame; kept so that a frame allocates nothing.
     passes: Vec<(&'static str, f64)>,
+    chosen: Vec<usize>,
+    #[cfg(feature = "gpu")]
+    device: Option<Device>,
+}
+
+/// The part of a loop that a graphics processor runs.
+#[cfg(feature = "gpu")]
+#[derive(Debug)]
+struct Device {
+    runner: gpu::Runner,
+    twins: Vec<crate::techniques::Twin>,
+    /// So many of the plan's passes stay on the CPU.
+    on_cpu: usize,
+    /// State is to be cleared before the next frame.
+    restarted: bool,
+    /// Buffers of the last frame that were asked for.
+    read: Vec<std::sync::OnceLock<Vec<u32>>>,
 }
 
 /// One rendered frame, borrowed from the loop.
@@ -120,11 +151,24 @@ pub struct Frame<'a> {
 }
 
 impl FrameLoop {
-    /// A loop before its first frame.
+    /// A loop before its first frame, on the CPU.
     ///
     /// # Errors
     /// A picture without pixels or with 2³¹ or more, a depth of 0, no effort, no frames a second.
     pub fn new(technique: Arc<dyn Technique>, stage: &Stage, shot: Shot) -> Result<Self> {
+        Self::with_backend(technique, stage, shot, &Backend::Cpu)
+    }
+
+    /// A loop before its first frame.
+    ///
+    /// # Errors
+    /// As [`FrameLoop::new`]; on a graphics processor whatever it has not enough of, by name ([`Error::is_gpu`]).
+    pub fn with_backend(
+        technique: Arc<dyn Technique>,
+        stage: &Stage,
+        shot: Shot,
+        backend: &Backend,
+    ) -> Result<Self> {
         let Shot { size: [width, height], depth, filter: _, run: _, effort, fps } = shot;
         let pixels = u64::from(width) * u64::from(height);
         if pixels == 0 || pixels >= 1 << 31 {
@@ -138,9 +182,19 @@ impl FrameLoop {
             )));
         }
         let plan = technique.plan(&stage.facts, &shot);
+        let world = stage.first.clone();
+        #[cfg(not(feature = "gpu"))]
+        let Backend::Cpu = backend;
+        #[cfg(feature = "gpu")]
+        let device = Device::new(backend, &*technique, &plan, &world, (shot, stage.facts.moves()))?;
+        #[cfg(feature = "gpu")]
+        let on_device = device.is_some();
+        #[cfg(not(feature = "gpu"))]
+        let on_device = false;
         let buffers = plan
             .buffers
             .iter()
+            .filter(|_| !on_device)
             .map(|buffer| {
                 let elements = match buffer.elements {
                     Elements::Pixels => pixels as usize,
@@ -153,7 +207,7 @@ impl FrameLoop {
                 }
             })
             .collect();
-        let world = stage.first.clone();
+        let buffers = if on_device { vec![Buffer::default(); plan.buffers.len()] } else { buffers };
         Ok(Self {
             technique,
             stage: stage.clone(),
@@ -164,7 +218,39 @@ impl FrameLoop {
             buffers,
             next_frame: 0,
             passes: Vec::new(),
+            chosen: Vec::new(),
+            #[cfg(feature = "gpu")]
+            device,
         })
+    }
+
+    /// The graphics processor that runs the passes, by name; `None`: the CPU does.
+    #[must_use]
+    pub fn runs_on(&self) -> Option<String> {
+        #[cfg(feature = "gpu")]
+        return self.device.as_ref().map(|device| device.runner.gpu().info().to_string());
+        #[cfg(not(feature = "gpu"))]
+        None
+    }
+
+    /// Bytes that the scene takes on the graphics processor; 0 on the CPU.
+    #[must_use]
+    pub fn scene_bytes(&self) -> u64 {
+        #[cfg(feature = "gpu")]
+        return self.device.as_ref().map_or(0, |device| device.runner.scene_bytes());
+        #[cfg(not(feature = "gpu"))]
+        0
+    }
+
+    /// Lets the CPU run the first `passes` of the plan's passes in every frame, from the same bytes: how the pass that two backends disagree in is
+    /// found. Without a graphics processor all run there anyway.
+    pub fn run_on_cpu(&mut self, passes: usize) {
+        #[cfg(feature = "gpu")]
+        if let Some(device) = &mut self.device {
+            device.on_cpu = passes.min(self.plan.passes.len());
+        }
+        #[cfg(not(feature = "gpu"))]
+        let _ = passes;
     }
 
     /// What runs.
@@ -194,6 +280,10 @@ impl FrameLoop {
         for buffer in &mut self.buffers {
             buffer.current.fill(0);
             buffer.previous.fill(0);
+        }
+        #[cfg(feature = "gpu")]
+        if let Some(device) = &mut self.device {
+            device.restarted = true;
         }
     }
 
@@ -269,18 +359,41 @@ impl FrameLoop {
             // With the emitters' tree and the tables of what moved; in the first frame they belong to loading, as the scene's own tree.
             self.passes.push(("scene update", (elapsed + begin.elapsed()).as_secs_f64() * 1e3));
         }
+        self.chosen.clear();
+        self.chosen.extend((0..self.plan.passes.len()).filter(
+            |&at| match self.plan.passes[at].runs {
+                Runs::Always => true,
+                Runs::Once => first,
+                Runs::WithHistory => !first,
+            },
+        ));
+        #[cfg(feature = "gpu")]
+        if self.device.is_some() {
+            let counters = self.run_device(motion.as_ref(), camera, index)?;
+            self.next_frame = self.next_frame.wrapping_add(1);
+            return Ok(Frame { frame_loop: self, index, counters, passes: &self.passes });
+        }
         for (buffer, plan) in self.buffers.iter_mut().zip(&self.plan.buffers) {
             if plan.history && !first {
                 std::mem::swap(&mut buffer.current, &mut buffer.previous);
             }
         }
+        let counters = self.run_passes(self.chosen.len(), motion.as_ref(), camera, index);
+        self.next_frame = self.next_frame.wrapping_add(1);
+        Ok(Frame { frame_loop: self, index, counters, passes: &self.passes })
+    }
+
+    /// Runs the first `count` of the chosen passes on the CPU.
+    fn run_passes(
+        &mut self,
+        count: usize,
+        motion: Option<&Motion>,
+        camera: CameraRays,
+        index: u32,
+    ) -> Counters {
         let mut counters = Counters::default();
-        for pass in &self.plan.passes {
-            match pass.runs {
-                Runs::Once if !first => continue,
-                Runs::WithHistory if first => continue,
-                _ => {}
-            }
+        for &at in &self.chosen[..count] {
+            let pass = &self.plan.passes[at];
             let begin = Instant::now();
             let (world, previous, shot) = (&*self.world, self.previous.as_deref(), self.shot);
             let technique = &*self.technique;
@@ -292,7 +405,7 @@ impl FrameLoop {
                         shot,
                         plan: &self.plan,
                         camera,
-                        motion: motion.as_ref(),
+                        motion,
                         frame: index,
                         buffers,
                     };
@@ -302,15 +415,58 @@ impl FrameLoop {
                     }
                 });
             counters = counters + work;
-            let ms = begin.elapsed().as_secs_f64() * 1e3;
-            // Rounds of one pass are one line.
-            match self.passes.last_mut() {
-                Some((name, sum)) if *name == pass.name => *sum += ms,
-                _ => self.passes.push((pass.name, ms)),
-            }
+            add_pass(&mut self.passes, pass.name, begin.elapsed().as_secs_f64() * 1e3);
         }
-        self.next_frame = self.next_frame.wrapping_add(1);
-        Ok(Frame { frame_loop: self, index, counters, passes: &self.passes })
+        counters
+    }
+
+    /// Runs the chosen passes on the graphics processor, but for those that the CPU was asked to run.
+    #[cfg(feature = "gpu")]
+    fn run_device(
+        &mut self,
+        motion: Option<&Motion>,
+        camera: CameraRays,
+        index: u32,
+    ) -> Result<Counters> {
+        let Some(mut device) = self.device.take() else { return Ok(Counters::default()) };
+        let outcome = self.run_on(&mut device, motion, camera, index);
+        self.device = Some(device);
+        outcome
+    }
+
+    #[cfg(feature = "gpu")]
+    fn run_on(
+        &mut self,
+        device: &mut Device,
+        motion: Option<&Motion>,
+        camera: CameraRays,
+        index: u32,
+    ) -> Result<Counters> {
+        let Device { runner, twins, on_cpu, restarted, read } = device;
+        read.iter_mut().for_each(|buffer| drop(buffer.take()));
+        if std::mem::take(restarted) {
+            runner.restart(&self.world)?;
+        }
+        let state = gpu::FrameState {
+            world: &self.world,
+            previous: self.previous.as_deref(),
+            camera: &camera,
+            motion,
+            shot: self.shot,
+            index,
+        };
+        let moved = index > 0 && self.stage.facts.moves();
+        runner.begin(&state, moved, (twins, &self.plan))?;
+        let here = self.chosen.iter().filter(|at| **at < *on_cpu).count();
+        let mut counters = Counters::default();
+        if here > 0 {
+            runner.download(&mut self.buffers)?;
+            counters = self.run_passes(here, motion, camera, index);
+            runner.upload(&self.buffers);
+        }
+        let work =
+            runner.run(&self.chosen[here..], &self.plan, &mut self.buffers, &mut self.passes)?;
+        Ok(counters + work)
     }
 
     fn picture(&self, id: BufferId) -> Picture {
@@ -338,6 +494,15 @@ impl Frame<'_> {
     #[must_use]
     pub fn buffer<T: bytemuck::Pod>(&self, name: &str) -> Option<&[T]> {
         let id = self.frame_loop.plan.buffer(name)?;
+        #[cfg(feature = "gpu")]
+        if let Some(device) = &self.frame_loop.device {
+            let copy = &device.read[id.0];
+            if copy.get().is_none() {
+                // A device that fails here fails in the next frame, too, which says why.
+                let _ = copy.set(device.runner.read(id.0).ok()?);
+            }
+            return bytemuck::try_cast_slice(copy.get()?).ok();
+        }
         bytemuck::try_cast_slice(&self.frame_loop.buffers[id.0].current).ok()
     }
 
@@ -352,6 +517,35 @@ impl Frame<'_> {
     #[must_use]
     pub fn milliseconds(&self) -> f64 {
         self.passes.iter().map(|(_, ms)| ms).sum()
+    }
+}
+
+#[cfg(feature = "gpu")]
+impl Device {
+    /// `None`: the CPU runs all.
+    fn new(
+        backend: &Backend,
+        technique: &dyn Technique,
+        plan: &Plan,
+        world: &Arc<World>,
+        how: (Shot, bool),
+    ) -> Result<Option<Self>> {
+        let Backend::Gpu(device) = backend else { return Ok(None) };
+        let Some(twins) = gpu::twins(technique, plan) else { return Ok(None) };
+        if plan.emitters {
+            world.prepare_emitters()?;
+        }
+        let runner = gpu::Runner::new(device.clone(), &twins, plan, world, how)?;
+        let read = plan.buffers.iter().map(|_| std::sync::OnceLock::new()).collect();
+        Ok(Some(Self { runner, twins, on_cpu: 0, restarted: false, read }))
+    }
+}
+
+/// Rounds of one pass are one line.
+fn add_pass(passes: &mut Vec<(&'static str, f64)>, name: &'static str, ms: f64) {
+    match passes.last_mut() {
+        Some((last, sum)) if *last == name => *sum += ms,
+        _ => passes.push((name, ms)),
     }
 }
 

@@ -77,6 +77,12 @@ impl AliasTable {
         if fraction < slot.threshold { slot.own } else { slot.alias }
     }
 
+    /// The slots as words, three each: threshold, own entry, alias.
+    #[cfg(feature = "gpu")]
+    pub(crate) fn slot_words(&self) -> Vec<u32> {
+        self.slots.iter().flat_map(|slot| [slot.threshold, slot.own, slot.alias]).collect()
+    }
+
     /// Probability of an entry, in [0, 1].
     #[inline]
     #[must_use]

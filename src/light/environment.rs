@@ -207,6 +207,20 @@ impl Environment {
         }
     }
 
+    /// From world to light space, and back.
+    #[cfg(feature = "gpu")]
+    pub(crate) fn maps(&self) -> (Mat3, Mat3) {
+        (self.to_light, self.to_world)
+    }
+
+    /// The image, how it covers the sphere, and its tables: cumulative rows, cumulative columns row by row, probabilities of cells.
+    #[cfg(feature = "gpu")]
+    pub(crate) fn tables(&self) -> Option<(&Arc<Image>, EnvironmentMapping, [&[f32]; 3])> {
+        let Texels { image, mapping, distribution } = self.image.as_ref()?;
+        let Grid { rows, columns, cells, .. } = distribution;
+        Some((image, *mapping, [rows, columns, cells]))
+    }
+
     /// The numbers that [`Environment::sample`] turns into `direction`; `None` where its density is 0.
     #[must_use]
     pub fn invert(&self, direction: Vec3) -> Option<Vec2> {

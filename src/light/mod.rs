@@ -12,6 +12,8 @@
 
 mod alias;
 mod environment;
+#[cfg(feature = "gpu")]
+pub(crate) mod export;
 mod point;
 mod remap;
 

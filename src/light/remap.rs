@@ -33,6 +33,12 @@ impl LightRemap {
         })
     }
 
+    /// Place by light, of the previous frame's table in the current one and back; [`NO_LIGHT`] where there is none.
+    #[cfg(feature = "gpu")]
+    pub(crate) fn tables(&self) -> (&[u32], &[u32]) {
+        (&self.to_current, &self.to_previous)
+    }
+
     /// The place now of the previous frame's `light`.
     #[inline]
     #[must_use]

@@ -34,6 +34,13 @@ macro_rules! counters {
             pub fn entries(&self) -> Vec<(&'static str, u64)> {
                 vec![$((stringify!($name), self.$name),)*]
             }
+
+            /// From words in the order of [`Counters::entries`].
+            #[cfg(feature = "gpu")]
+            pub(crate) fn from_words(words: &[u32]) -> Self {
+                let mut words = words.iter().copied().map(u64::from);
+                Self { $($name: words.next().unwrap_or(0),)* }
+            }
         }
 
         impl std::ops::Add for Counters {

@@ -73,6 +73,11 @@ mod shift;
 #[cfg(test)]
 mod tests;
 
+/// Reservoirs, MIS weights and mutations in WGSL; needs [`crate::math::rng`]'s.
+pub const RESAMPLING_WGSL: &str = include_str!("resampling.wgsl");
+/// [`spatial`] and [`temporal`] in WGSL; its head says what a host adds.
+pub const MERGE_WGSL: &str = include_str!("merge.wgsl");
+
 pub use claim::Claim;
 pub use estimate::{
     Conditions, ControlVariate, Decoupled, DecoupledState, Estimator, Selected, SelectedState,

@@ -47,6 +47,14 @@ impl CameraRays {
     }
 }
 
+#[cfg(feature = "gpu")]
+impl CameraRays {
+    /// Origin, corner of the picture plane, steps to the right and down.
+    pub(crate) fn parts(&self) -> [Vec3; 4] {
+        [self.origin, self.corner, self.right, self.down]
+    }
+}
+
 impl Camera {
     /// The rays of a `size` picture. The camera's transform must be fixed (see [`super::Scene::at`]).
     #[must_use]
@@ -97,6 +105,12 @@ pub struct Projection {
 }
 
 impl Projection {
+    /// The map to camera space, the pinhole, pixels a unit at distance 1, the picture's middle.
+    #[cfg(feature = "gpu")]
+    pub(crate) fn parts(&self) -> (Affine3A, Vec3, f32, Vec2) {
+        (self.to_camera, self.origin, self.per_unit, self.middle)
+    }
+
     /// The pixel position of a world point, or `None` at and behind the pinhole.
     #[inline]
     #[must_use]

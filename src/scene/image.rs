@@ -101,7 +101,7 @@ impl Axis {
 }
 
 /// sRGB electro-optical transfer function (IEC 61966-2-1) of all bytes.
-fn srgb_table() -> &'static [f32; 256] {
+pub(crate) fn srgb_table() -> &'static [f32; 256] {
     static TABLE: std::sync::LazyLock<[f32; 256]> = std::sync::LazyLock::new(|| {
         std::array::from_fn(|byte| {
             let value = byte as f64 / 255.0;

@@ -27,6 +27,8 @@ use std::sync::Arc;
 pub use camera::{Camera, CameraRay, CameraRays, Projection};
 pub use generate::{generate, generate_pbrt, many_lights};
 
+#[cfg(feature = "gpu")]
+pub(crate) use image::srgb_table;
 pub use image::{Image, ImageData};
 pub use light::{EnvironmentMapping, Light, LightKind, SpotFalloff};
 pub use material::{ConductorColor, Material, Roughness};

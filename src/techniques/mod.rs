@@ -33,6 +33,22 @@ pub trait Technique: fmt::Debug + Send + Sync {
 
     /// Runs kernel number `kernel` over a band; one call a band, all per-ray choices are made inside it once.
     fn run(&self, kernel: u32, inputs: &FrameInputs<'_>, band: &mut Band<'_>) -> Counters;
+
+    /// The same kernel for a graphics processor; `None`: there is none, and the technique runs on the CPU.
+    fn twin(&self, _kernel: u32, _plan: &Plan) -> Option<Twin> {
+        None
+    }
+}
+
+/// A kernel in WGSL: plain data.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Twin {
+    /// The entry point, with workgroups of 8 × 8 over pixels, of 256 over items, of a tile over tiles.
+    pub entry: &'static str,
+    /// What it is made of, beside the modules that all kernels share.
+    pub modules: &'static [&'static str],
+    /// Values of its pipeline-overridable constants; flags are 0 and 1.
+    pub constants: Vec<(&'static str, f64)>,
 }
 
 /// A line of the [`REGISTRY`].

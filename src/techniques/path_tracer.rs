@@ -5,7 +5,7 @@
 
 use glam::Vec3;
 
-use super::{Band, Entry, FrameInputs, Parameter, PrimaryHit, Technique, Values};
+use super::{Band, Entry, FrameInputs, Parameter, PrimaryHit, Technique, Twin, Values};
 use crate::accel::{HitFilter, Ray};
 use crate::error::Result;
 use crate::math::rng::path_seed;
@@ -248,6 +248,22 @@ impl Technique for PathTracer {
             emitters: false,
             claim,
         }
+    }
+
+    fn twin(&self, _kernel: u32, _plan: &Plan) -> Option<Twin> {
+        let sampled = match self.lights {
+            LightSampling::None => sampled::NONE,
+            LightSampling::One => sampled::ONE,
+            LightSampling::All => sampled::ALL,
+        };
+        Some(Twin {
+            entry: "paths",
+            modules: &[include_str!("path_tracer.wgsl")],
+            constants: vec![
+                ("SAMPLED", f64::from(sampled)),
+                ("ROULETTE_AFTER", f64::from(self.roulette_after)),
+            ],
+        })
     }
 
     fn run(&self, _kernel: u32, inputs: &FrameInputs<'_>, band: &mut Band<'_>) -> Counters {

@@ -19,7 +19,7 @@
 
 mod kernels;
 
-use crate::direct::{REUSE_AGE, REUSE_DISTANCE, Visibility};
+use crate::direct::{DIRECT_WGSL, REUSE_AGE, REUSE_DISTANCE, VISIBILITY_WGSL, Visibility};
 use crate::error::{Error, Result};
 use crate::path::Counters;
 use crate::plan::{
@@ -27,9 +27,10 @@ use crate::plan::{
     Shot, Skip,
 };
 use crate::resampling::{
-    Conditions, ControlVariate, Decoupled, Estimator, Family, Selected, WeightedVisibility,
+    Conditions, ControlVariate, Decoupled, Estimator, Family, MERGE_WGSL, RESAMPLING_WGSL,
+    Selected, WeightedVisibility,
 };
-use crate::techniques::{Band, Entry, FrameInputs, Parameter, Technique, Values};
+use crate::techniques::{Band, Entry, FrameInputs, Parameter, Technique, Twin, Values};
 
 /// Most neighbours a round.
 pub const MAX_NEIGHBOURS: usize = 8;
@@ -503,6 +504,109 @@ impl Technique for RestirDi {
 
     fn run(&self, kernel: u32, inputs: &FrameInputs<'_>, band: &mut Band<'_>) -> Counters {
         kernels::run(self, kernel, inputs, band)
+    }
+
+    fn twin(&self, kernel: u32, plan: &Plan) -> Option<Twin> {
+        Some(self.kernel_twin(kernel, plan))
+    }
+}
+
+impl RestirDi {
+    fn kernel_twin(&self, kernel: u32, plan: &Plan) -> Twin {
+        const MODULES: &[&str] = &[
+            RESAMPLING_WGSL,
+            VISIBILITY_WGSL,
+            DIRECT_WGSL,
+            MERGE_WGSL,
+            include_str!("restir_di/restir_di.wgsl"),
+        ];
+        let flag = |b: bool| f64::from(u8::from(b));
+        let id = |name: &str| plan.buffer(name).map_or(0.0, |id| id.0 as f64);
+        let policy = match self.visibility {
+            Visibility::Trace => 0,
+            Visibility::InTarget => 1,
+            Visibility::Bitterli => 2,
+            Visibility::Reuse { .. } => 3,
+            Visibility::Wis => 4,
+            Visibility::WisControlVariate => 5,
+        };
+        let with_spatial = plan.buffer(buffer::HISTORY).is_some();
+        let mut constants = vec![
+            ("POLICY", f64::from(policy)),
+            ("CANDIDATE_LIGHTS", f64::from(self.candidates)),
+            ("CANDIDATE_BSDF", f64::from(plan.constant("bsdf samples"))),
+            ("CANDIDATE_SURFACES", flag(plan.constant("emitting surfaces") != 0)),
+            ("LIGHT_TILES", f64::from(plan.constant("light tiles"))),
+            ("STILL", flag(plan.constant("still") != 0)),
+            ("KEEP_NORMALS", flag(plan.buffer(buffer::NORMALS).is_some())),
+            ("OWN_HISTORY", flag(!with_spatial)),
+            ("CAP", f64::from(self.cap)),
+            ("MAX_AGE", f64::from(self.max_age)),
+            ("B_TILES", id(buffer::TILES)),
+            ("B_NORMALS", id(buffer::NORMALS)),
+            ("B_RESERVOIRS", id(buffer::RESERVOIRS)),
+            ("B_HISTORY", id(buffer::HISTORY)),
+            ("B_CONTROLS", id(buffer::CONTROLS)),
+            ("B_HISTORY_CONTROLS", id(buffer::HISTORY_CONTROLS)),
+        ];
+        if let Visibility::Reuse { max_age, max_distance } = self.visibility {
+            constants.push(("VISIBILITY_AGE", f64::from(max_age)));
+            constants.push(("VISIBILITY_DISTANCE", f64::from(max_distance)));
+        }
+        let place = |family: Family| {
+            let place = Family::ALL.iter().position(|f| *f == family);
+            place.unwrap_or(0) as f64
+        };
+        let entry = match kernel {
+            kernel::RIS => "ris",
+            kernel::TILES => "light_tiles",
+            kernel::INITIAL => "initial",
+            kernel::TEMPORAL => {
+                constants.push(("FAMILY", place(self.temporal_mis)));
+                "temporal"
+            }
+            kernel::BOILING => {
+                constants.push(("BOILING_LIMIT", f64::from(kernels::boiling_limit(self.boiling))));
+                "boiling"
+            }
+            kernel::MUTATE => {
+                constants.push(("STEPS", f64::from(self.mutations)));
+                constants.push(("LARGE_STEPS", f64::from(self.large_steps)));
+                "mutate"
+            }
+            kernel::SHADE => "shade_only",
+            kernel::PATHS | kernel::ALL_PATHS => {
+                constants.push(("ROULETTE_AFTER", f64::from(self.roulette_after)));
+                constants.push(("ALL_LIGHT", flag(kernel == kernel::ALL_PATHS)));
+                "other_paths"
+            }
+            _ => {
+                let round = kernel - kernel::SPATIAL;
+                let last = round + 1 == self.rounds;
+                let odd = !round.is_multiple_of(2);
+                let from = if odd { buffer::BOUNCE } else { buffer::RESERVOIRS };
+                let to = match (last, odd) {
+                    (true, _) => buffer::HISTORY,
+                    (false, false) => buffer::BOUNCE,
+                    (false, true) => buffer::RESERVOIRS,
+                };
+                let control_to = if last { buffer::HISTORY_CONTROLS } else { buffer::CONTROLS };
+                constants.extend([
+                    ("FAMILY", place(self.mis)),
+                    ("NEIGHBOURS", f64::from(self.neighbours)),
+                    ("RADIUS", f64::from(self.radius)),
+                    ("ROUND", f64::from(round)),
+                    ("LAST", flag(last)),
+                    ("DECOUPLED", flag(self.decoupled)),
+                    ("B_FROM", id(from)),
+                    ("B_TO", id(to)),
+                    ("B_CONTROL_FROM", id(buffer::CONTROLS)),
+                    ("B_CONTROL_TO", id(control_to)),
+                ]);
+                "spatial"
+            }
+        };
+        Twin { entry, modules: MODULES, constants }
     }
 }
 

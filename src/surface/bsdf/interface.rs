@@ -13,7 +13,7 @@ use super::fresnel;
 use super::ggx::{Ggx, reflect};
 
 /// Nodes along each axis.
-const NODES: usize = 128;
+pub(crate) const NODES: usize = 128;
 
 /// Nodes per unit of (η − 1)/(η + 1): 1.5 lies at 0.2.
 const INDEX_STEPS: f32 = 160.0;
@@ -41,13 +41,7 @@ pub(super) struct RoughReflectance {
 impl RoughReflectance {
     /// Of isotropic roughness `alpha` in [0, 1] and index `eta` in [1, 9] (both are clamped).
     pub(super) fn new(alpha: f32, eta: f32) -> Self {
-        let s = ((eta - 1.0) / (eta + 1.0)).clamp(0.0, 0.8) * INDEX_STEPS;
-        // 1.5 in single precision is its node, not a neighbour's fraction.
-        let s = if (s - s.round()).abs() < 1e-4 { s.round() } else { s };
-        let index = (s as usize).min(INDICES - 1);
-        let b = s - index as f32;
-        // A material between no indices needs no second one.
-        let next = if b > 0.0 { index + 1 } else { index };
+        let (index, next, b) = index_cell(eta);
         let (at, a) = place(alpha.clamp(0.0, 1.0).sqrt().sqrt());
         Self {
             rows: [row(index, at), row(index, at + 1), row(next, at), row(next, at + 1)],
@@ -71,6 +65,28 @@ impl RoughReflectance {
     pub(super) fn mean(&self) -> f32 {
         self.rows.iter().zip(self.weights).map(|(row, weight)| weight * row.mean).sum()
     }
+}
+
+/// The two tabulated indices around η, and the weight of the second.
+pub(crate) fn index_cell(eta: f32) -> (usize, usize, f32) {
+    let s = ((eta - 1.0) / (eta + 1.0)).clamp(0.0, 0.8) * INDEX_STEPS;
+    // 1.5 in single precision is its node, not a neighbour's fraction.
+    let s = if (s - s.round()).abs() < 1e-4 { s.round() } else { s };
+    let index = (s as usize).min(INDICES - 1);
+    let b = s - index as f32;
+    // A material between no indices needs no second one.
+    (index, if b > 0.0 { index + 1 } else { index }, b)
+}
+
+/// Rows of index number `index`, one for each roughness number in `alphas`: its values, then its mean.
+#[cfg(feature = "gpu")]
+pub(crate) fn rows_of(index: usize, alphas: std::ops::RangeInclusive<usize>) -> Vec<f32> {
+    alphas
+        .flat_map(|alpha| {
+            let row = row(index, alpha);
+            row.values.iter().copied().chain([row.mean])
+        })
+        .collect()
 }
 
 /// The cell and the position inside it of x in [0, 1].

@@ -33,6 +33,8 @@ use ggx::Ggx;
 use lambert::{Diffuse, DiffuseTransmission};
 use metallic::Metallic;
 
+#[cfg(feature = "gpu")]
+pub(crate) use interface::{NODES, index_cell, rows_of};
 pub use metallic::MetallicRoughness;
 
 /// A material evaluated at a point: up to 6 lobes.

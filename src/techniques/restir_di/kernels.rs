@@ -42,6 +42,11 @@ const PATHS: u32 = 1 << 31;
 /// Factor on the boiling filter's mean at strength 1; at strength s it is 10 / s − 9.
 const BOILING: f32 = 10.0;
 
+/// Factor on the boiling filter's mean at a strength above 0.
+pub(super) fn boiling_limit(strength: f32) -> f32 {
+    BOILING / strength - (BOILING - 1.0)
+}
+
 /// Runs a kernel over a band.
 pub(super) fn run(
     technique: &RestirDi,
@@ -621,7 +626,7 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
         let records: &mut [Record] = band.take(0);
         let width = band.width;
         let rows = band.range.end - band.range.start;
-        let limit = BOILING / self.technique.boiling - (BOILING - 1.0);
+        let limit = boiling_limit(self.technique.boiling);
         for left in (0..width).step_by(BOILING_TILE as usize) {
             let lanes = || {
                 (0..rows).flat_map(move |y| {

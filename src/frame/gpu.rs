@@ -1,0 +1,494 @@
+//! Runs a plan's passes on a graphics processor: state in one buffer, one submission a frame.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use glam::{Vec3, Vec4};
+
+use crate::error::{Error, Result};
+use crate::gpu::{
+    CameraRecord, Gpu, Inputs, Kernel, Links, MAX_BUFFERS, ProjectionRecord, SceneBuffers,
+};
+use crate::path::Counters;
+use crate::plan::{Domain, Elements, Filter, Kernel as PassKernel, Plan, Shot};
+use crate::scene::CameraRays;
+use crate::techniques::{Buffer, Motion, Technique, Twin};
+use crate::world::World;
+
+/// Bytes before the timestamps in what is read back: room for all counters.
+const COUNTERS: u64 = 256;
+/// Alignment of what queries are written to.
+const RESOLVE: u64 = 256;
+/// The frame loop's own kernel.
+const PRIMARY_HITS: &[&str] = &[include_str!("primary_hits.wgsl")];
+
+/// A scene's arenas: shared where nothing moves.
+#[derive(Debug)]
+enum Scene {
+    Shared(Arc<SceneBuffers>),
+    Own(Box<SceneBuffers>),
+}
+
+impl Scene {
+    fn get(&self) -> &SceneBuffers {
+        match self {
+            Self::Shared(scene) => scene,
+            Self::Own(scene) => scene,
+        }
+    }
+}
+
+/// A pass, ready to be dispatched.
+#[derive(Debug)]
+struct Ready {
+    pipeline: wgpu::ComputePipeline,
+    groups: [u32; 2],
+}
+
+/// Where a buffer of the plan lies in the state, in words.
+#[derive(Clone, Copy, Debug)]
+struct Span {
+    first: u32,
+    words: u32,
+    history: bool,
+}
+
+/// One loop's frames on a device.
+#[derive(Debug)]
+pub(super) struct Runner {
+    gpu: Arc<Gpu>,
+    scene: Scene,
+    passes: Vec<Ready>,
+    spans: Vec<Span>,
+    /// Whether histories' halves are exchanged.
+    exchanged: bool,
+    state: wgpu::Buffer,
+    inputs: wgpu::Buffer,
+    counters: wgpu::Buffer,
+    staging: wgpu::Buffer,
+    queries: Option<(wgpu::QuerySet, wgpu::Buffer)>,
+    bindings: wgpu::BindGroup,
+}
+
+/// What of a frame the kernels are told.
+pub(super) struct FrameState<'a> {
+    pub(super) world: &'a Arc<World>,
+    pub(super) previous: Option<&'a World>,
+    pub(super) camera: &'a CameraRays,
+    pub(super) motion: Option<&'a Motion>,
+    pub(super) shot: Shot,
+    pub(super) index: u32,
+}
+
+/// The twins of all passes; `None` where the technique lacks one.
+pub(super) fn twins(technique: &dyn Technique, plan: &Plan) -> Option<Vec<Twin>> {
+    let own = || Twin { entry: "primary_hits", modules: PRIMARY_HITS, constants: Vec::new() };
+    plan.passes
+        .iter()
+        .map(|pass| match pass.kernel {
+            PassKernel::PrimaryHits => Some(own()),
+            PassKernel::Technique(kernel) => technique.twin(kernel, plan),
+        })
+        .collect()
+}
+
+/// Workgroups that cover a domain.
+fn groups(domain: Domain, size: [u32; 2]) -> [u32; 2] {
+    match domain {
+        Domain::Pixels => size.map(|side| side.div_ceil(8)),
+        Domain::Tiles { width, height, origin } => {
+            [(size[0] + origin[0]).div_ceil(width), (size[1] + origin[1]).div_ceil(height)]
+        }
+        Domain::Items(n) => [n.div_ceil(256), 1],
+    }
+}
+
+impl Runner {
+    pub(super) fn new(
+        gpu: Arc<Gpu>,
+        twins: &[Twin],
+        plan: &Plan,
+        world: &Arc<World>,
+        (shot, moves): (Shot, bool),
+    ) -> Result<Self> {
+        if plan.buffers.len() > MAX_BUFFERS {
+            return Err(Error::gpu(format!(
+                "the plan has {} buffers, kernels address {MAX_BUFFERS}",
+                plan.buffers.len()
+            )));
+        }
+        let mut spans = Vec::new();
+        let mut total = 0_u64;
+        for buffer in &plan.buffers {
+            let elements = match buffer.elements {
+                Elements::Pixels => shot.pixels() as u64,
+                Elements::Items(n) => u64::from(n),
+            };
+            let words = elements * u64::from(buffer.bytes / 4);
+            spans.push((total, words, buffer.history));
+            total += words * if buffer.history { 2 } else { 1 };
+        }
+        if total > u64::from(u32::MAX) {
+            return Err(Error::gpu(format!(
+                "the state takes {total} words, at most 2^32 are addressed"
+            )));
+        }
+        let spans = spans
+            .into_iter()
+            .map(|(first, words, history)| Span {
+                first: first as u32,
+                words: words as u32,
+                history,
+            })
+            .collect::<Vec<_>>();
+        use wgpu::BufferUsages as Usage;
+        let copied = Usage::STORAGE | Usage::COPY_SRC | Usage::COPY_DST;
+        let state = gpu.buffer("the frame loop's state", 4 * total, copied)?;
+        let counters = gpu.buffer("counters", COUNTERS, copied)?;
+        let inputs = gpu.buffer(
+            "a frame's inputs",
+            size_of::<Inputs>() as u64,
+            Usage::UNIFORM | Usage::COPY_DST,
+        )?;
+        let stamps = 2 * plan.passes.len() as u64 * 8;
+        let picture = 12 * shot.pixels() as u64;
+        let staging = gpu.buffer(
+            "what is read back",
+            COUNTERS + stamps.next_multiple_of(RESOLVE) + 2 * picture,
+            Usage::MAP_READ | Usage::COPY_DST,
+        )?;
+        let queries = if gpu.has_timestamps() && !plan.passes.is_empty() {
+            let set = gpu.device().create_query_set(&wgpu::QuerySetDescriptor {
+                label: Some("passes"),
+                ty: wgpu::QueryType::Timestamp,
+                count: 2 * plan.passes.len() as u32,
+            });
+            let resolved =
+                gpu.buffer("timestamps", stamps, Usage::QUERY_RESOLVE | Usage::COPY_SRC)?;
+            Some((set, resolved))
+        } else {
+            None
+        };
+        let scene = if moves {
+            Scene::Own(Box::new(SceneBuffers::new(&gpu, world, Some(world), &Links::default())?))
+        } else {
+            Scene::Shared(gpu.scene(world)?)
+        };
+        let bindings = bind(&gpu, scene.get(), &inputs, &state, &counters);
+        let mut runner = Self {
+            gpu,
+            scene,
+            passes: Vec::new(),
+            spans,
+            exchanged: false,
+            state,
+            inputs,
+            counters,
+            staging,
+            queries,
+            bindings,
+        };
+        runner.compile(twins, plan, shot)?;
+        Ok(runner)
+    }
+
+    fn compile(&mut self, twins: &[Twin], plan: &Plan, shot: Shot) -> Result<()> {
+        self.passes = plan
+            .passes
+            .iter()
+            .zip(twins)
+            .map(|(pass, twin)| {
+                let scene = self.scene.get().constants();
+                let kernel = Kernel::new(twin.entry, twin.modules, &twin.constants, scene);
+                let pipeline = self.gpu.pipeline(&kernel)?;
+                Ok(Ready { pipeline, groups: groups(pass.domain, shot.size) })
+            })
+            .collect::<Result<_>>()?;
+        Ok(())
+    }
+
+    pub(super) fn gpu(&self) -> &Arc<Gpu> {
+        &self.gpu
+    }
+
+    /// Bytes of the scene on the device.
+    pub(super) fn scene_bytes(&self) -> u64 {
+        self.scene.get().bytes()
+    }
+
+    /// All state is zero again, and the scene's first world is the present one.
+    pub(super) fn restart(&mut self, world: &Arc<World>) -> Result<()> {
+        let mut encoder = self.encoder();
+        encoder.clear_buffer(&self.state, 0, None);
+        self.gpu.queue().submit([encoder.finish()]);
+        self.exchanged = false;
+        if let Scene::Own(scene) = &mut self.scene {
+            **scene = SceneBuffers::new(&self.gpu, world, Some(world), &Links::default())?;
+            self.rebind();
+        }
+        self.gpu.check()
+    }
+
+    fn rebind(&mut self) {
+        self.bindings =
+            bind(&self.gpu, self.scene.get(), &self.inputs, &self.state, &self.counters);
+    }
+
+    fn encoder(&self) -> wgpu::CommandEncoder {
+        self.gpu.device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
+    }
+
+    /// Prepares the next frame: its world takes its turn, histories are exchanged.
+    pub(super) fn begin(
+        &mut self,
+        frame: &FrameState<'_>,
+        moved: bool,
+        (twins, plan): (&[Twin], &Plan),
+    ) -> Result<()> {
+        self.gpu.check()?;
+        if frame.index > 0 {
+            self.exchanged = !self.exchanged;
+        }
+        if moved && let Scene::Own(scene) = &mut self.scene {
+            let motion = frame.motion;
+            let links = Links {
+                lights: motion.and_then(|m| m.lights.as_ref()).map(|remap| remap.tables()),
+                instances: motion.and_then(|m| m.instances.as_deref()),
+            };
+            if !scene.advance(&self.gpu, frame.world, &links)? {
+                let previous = frame.previous.unwrap_or(frame.world);
+                let before = *scene.constants();
+                **scene = SceneBuffers::new(&self.gpu, frame.world, Some(previous), &links)?;
+                if before != *scene.constants() {
+                    self.compile(twins, plan, frame.shot)?;
+                }
+                self.rebind();
+            }
+        }
+        self.write_inputs(frame);
+        Ok(())
+    }
+
+    fn write_inputs(&self, frame: &FrameState<'_>) {
+        let shot = frame.shot;
+        let mut inputs = Inputs {
+            run: [shot.run as u32, (shot.run >> 32) as u32],
+            frame: frame.index,
+            effort: shot.effort,
+            size: shot.size,
+            depth: shot.depth,
+            box_filter: u32::from(shot.filter == Filter::Box),
+            camera: camera(frame.camera),
+            ..Inputs::default()
+        };
+        self.scene.get().describe(&mut inputs);
+        inputs.instances[1] = u32::from(frame.motion.is_some());
+        if let Some(motion) = frame.motion {
+            inputs.camera_before = camera(&motion.camera);
+            let (map, origin, per_unit, middle) = motion.projection.parts();
+            let row = |at: usize| {
+                let m = map.matrix3;
+                let row = [m.x_axis[at], m.y_axis[at], m.z_axis[at]];
+                [row[0], row[1], row[2], map.translation[at]]
+            };
+            inputs.projection = ProjectionRecord {
+                row_x: row(0),
+                row_y: row(1),
+                row_z: row(2),
+                origin: origin.extend(0.0).to_array(),
+                scale: Vec4::new(per_unit, middle.x, middle.y, 0.0).to_array(),
+            };
+        }
+        for (at, span) in inputs.buffers.iter_mut().zip(&self.spans) {
+            let (now, before) = self.halves(span);
+            *at = [now, before, 0, 0];
+        }
+        self.gpu.queue().write_buffer(&self.inputs, 0, bytemuck::bytes_of(&inputs));
+    }
+
+    /// Where a buffer's words of this frame and of the previous one begin.
+    fn halves(&self, span: &Span) -> (u32, u32) {
+        match (span.history, self.exchanged) {
+            (false, _) => (span.first, span.first),
+            (true, false) => (span.first, span.first + span.words),
+            (true, true) => (span.first + span.words, span.first),
+        }
+    }
+
+    /// Runs those of the plan's passes that `chosen` lists, and reads back counters, times and the two pictures.
+    pub(super) fn run(
+        &mut self,
+        chosen: &[usize],
+        plan: &Plan,
+        buffers: &mut [Buffer],
+        passes: &mut Vec<(&'static str, f64)>,
+    ) -> Result<Counters> {
+        let begin = Instant::now();
+        let mut encoder = self.encoder();
+        encoder.clear_buffer(&self.counters, 0, None);
+        for (number, &at) in chosen.iter().enumerate() {
+            let Ready { pipeline, groups } = &self.passes[at];
+            let timestamp_writes =
+                self.queries.as_ref().map(|(set, _)| wgpu::ComputePassTimestampWrites {
+                    query_set: set,
+                    beginning_of_pass_write_index: Some(2 * number as u32),
+                    end_of_pass_write_index: Some(2 * number as u32 + 1),
+                });
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+                label: Some(plan.passes[at].name),
+                timestamp_writes,
+            });
+            pass.set_pipeline(pipeline);
+            pass.set_bind_group(0, &self.bindings, &[]);
+            pass.dispatch_workgroups(groups[0], groups[1], 1);
+        }
+        encoder.copy_buffer_to_buffer(&self.counters, 0, &self.staging, 0, Some(COUNTERS));
+        let mut read = COUNTERS;
+        if let Some((set, resolved)) = self.queries.as_ref().filter(|_| !chosen.is_empty()) {
+            let count = 2 * chosen.len() as u32;
+            encoder.resolve_query_set(set, 0..count, resolved, 0);
+            let bytes = u64::from(count) * 8;
+            encoder.copy_buffer_to_buffer(resolved, 0, &self.staging, read, Some(bytes));
+        }
+        read += (2 * plan.passes.len() as u64 * 8).next_multiple_of(RESOLVE);
+        let mut pictures = read;
+        for id in [Plan::RADIANCE, Plan::EMISSION] {
+            let span = self.spans[id.0];
+            let (now, _) = self.halves(&span);
+            let (from, bytes) = (4 * u64::from(now), 4 * u64::from(span.words));
+            encoder.copy_buffer_to_buffer(&self.state, from, &self.staging, pictures, Some(bytes));
+            pictures += bytes;
+        }
+        self.gpu.queue().submit([encoder.finish()]);
+        let bytes = self.mapped(&self.staging, pictures)?;
+        let counted: &[u32] = bytemuck::cast_slice(&bytes[..COUNTERS as usize]);
+        let counters = Counters::from_words(counted);
+        let stamps = &bytes[COUNTERS as usize..read as usize];
+        if self.queries.is_some() {
+            let period = f64::from(self.gpu.queue().get_timestamp_period());
+            for (number, &at) in chosen.iter().enumerate() {
+                let stamp = |i: usize| {
+                    let at = 8 * (2 * number + i);
+                    u64::from_le_bytes(stamps[at..at + 8].try_into().unwrap_or_default())
+                };
+                let ms = stamp(1).saturating_sub(stamp(0)) as f64 * period * 1e-6;
+                super::add_pass(passes, plan.passes[at].name, ms);
+            }
+        } else if !chosen.is_empty() {
+            passes.push(("all passes", begin.elapsed().as_secs_f64() * 1e3));
+        }
+        let mut at = read as usize;
+        for id in [Plan::RADIANCE, Plan::EMISSION] {
+            let words = &mut buffers[id.0].current;
+            let end = at + 4 * self.spans[id.0].words as usize;
+            words.clear();
+            words.extend(
+                bytes[at..end]
+                    .chunks_exact(4)
+                    .map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])),
+            );
+            at = end;
+        }
+        Ok(counters)
+    }
+
+    /// The first bytes of a buffer that can be mapped, once all that was submitted is done.
+    fn mapped(&self, buffer: &wgpu::Buffer, bytes: u64) -> Result<Vec<u8>> {
+        let (sender, receiver) = std::sync::mpsc::channel();
+        buffer.map_async(wgpu::MapMode::Read, ..bytes, move |outcome| {
+            // Nobody waits any more where an error came first.
+            let _ = sender.send(outcome);
+        });
+        let waited = self.gpu.device().poll(wgpu::PollType::wait_indefinitely());
+        self.gpu.check()?;
+        let failed = |why: &dyn std::fmt::Display| {
+            Error::gpu(format!("{}: reading back failed: {why}", self.gpu.info()))
+        };
+        waited.map_err(|error| failed(&error))?;
+        match receiver.try_recv() {
+            Ok(Ok(())) => {}
+            Ok(Err(error)) => return Err(failed(&error)),
+            Err(error) => return Err(failed(&error)),
+        }
+        let copy = {
+            let view = buffer.get_mapped_range(..bytes).map_err(|error| failed(&error))?;
+            view.to_vec()
+        };
+        buffer.unmap();
+        Ok(copy)
+    }
+
+    /// This frame's words of a buffer.
+    pub(super) fn read(&self, buffer: usize) -> Result<Vec<u32>> {
+        let span = self.spans[buffer];
+        let (now, _) = self.halves(&span);
+        self.read_words(now, span.words)
+    }
+
+    fn read_words(&self, first: u32, words: u32) -> Result<Vec<u32>> {
+        let bytes = 4 * u64::from(words);
+        let usage = wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST;
+        let staging = self.gpu.buffer("a copy to be read", bytes, usage)?;
+        let mut encoder = self.encoder();
+        let from = 4 * u64::from(first);
+        encoder.copy_buffer_to_buffer(&self.state, from, &staging, 0, Some(bytes));
+        self.gpu.queue().submit([encoder.finish()]);
+        let bytes = self.mapped(&staging, bytes)?;
+        let word = |b: &[u8]| u32::from_le_bytes([b[0], b[1], b[2], b[3]]);
+        Ok(bytes.chunks_exact(4).map(word).collect())
+    }
+
+    /// Brings all state to the CPU.
+    pub(super) fn download(&self, buffers: &mut [Buffer]) -> Result<()> {
+        for (span, buffer) in self.spans.iter().zip(buffers) {
+            let (now, before) = self.halves(span);
+            buffer.current = self.read_words(now, span.words)?;
+            if span.history {
+                buffer.previous = self.read_words(before, span.words)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Brings all state from the CPU.
+    pub(super) fn upload(&self, buffers: &[Buffer]) {
+        let queue = self.gpu.queue();
+        for (span, buffer) in self.spans.iter().zip(buffers) {
+            let (now, before) = self.halves(span);
+            let at = |first: u32| 4 * u64::from(first);
+            queue.write_buffer(&self.state, at(now), bytemuck::cast_slice(&buffer.current));
+            if span.history {
+                queue.write_buffer(&self.state, at(before), bytemuck::cast_slice(&buffer.previous));
+            }
+        }
+    }
+}
+
+fn camera(rays: &CameraRays) -> CameraRecord {
+    let [origin, corner, right, down] = rays.parts().map(|v: Vec3| v.extend(0.0).to_array());
+    CameraRecord { origin, corner, right, down }
+}
+
+fn bind(
+    gpu: &Gpu,
+    scene: &SceneBuffers,
+    inputs: &wgpu::Buffer,
+    state: &wgpu::Buffer,
+    counters: &wgpu::Buffer,
+) -> wgpu::BindGroup {
+    let [nodes, geometry, words, texels] = scene.buffers();
+    let all = [inputs, nodes, geometry, words, texels, state, counters];
+    let entries: Vec<wgpu::BindGroupEntry<'_>> = all
+        .iter()
+        .enumerate()
+        .map(|(binding, buffer)| wgpu::BindGroupEntry {
+            binding: binding as u32,
+            resource: buffer.as_entire_binding(),
+        })
+        .collect();
+    gpu.device().create_bind_group(&wgpu::BindGroupDescriptor {
+        label: Some("a loop's buffers"),
+        layout: gpu.layout(),
+        entries: &entries,
+    })
+}

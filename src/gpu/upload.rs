@@ -1,0 +1,657 @@
+//! A world as words: four arenas that kernels read.
+//!
+//! | arena | holds |
+//! |---|---|
+//! | nodes | trees over primitives; then, once a frame: placements, the tree over instances, the emitters' tree |
+//! | geometry | primitives in leaf order and what a hit needs of them; then the emitters' |
+//! | words | materials, textures' programs, tables; then, once a frame: shapes, lights, what leads from the previous frame |
+//! | texels | images |
+//!
+//! The first part of each is written once and stays while the host keeps its objects, materials and images. Of the second there are two where
+//! anything moves, for this frame and the previous one; frames take turns.
+
+use std::collections::HashMap;
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::sync::Arc;
+
+use bytemuck::{Pod, Zeroable};
+
+use super::Gpu;
+use super::shader::SceneConstants;
+use crate::accel::export::{NO_TREE, Placed, Quad, TreeArenas, Trees, Words};
+use crate::error::{Error, Result};
+use crate::light::export::Names;
+use crate::scene::{
+    Color, ConductorColor, Image, ImageData, Material, Roughness, Scalar, Scene, TextureId,
+    TextureKind, Wrap, srgb_table,
+};
+use crate::surface::bsdf::{NODES, index_cell, rows_of};
+use crate::world::World;
+
+/// Values that a texture's program may hold at once, as in `scene.wgsl`.
+const TEXTURE_STACK: usize = 8;
+/// Most words of a texture's program: textures that are used twice are written twice.
+const TEXTURE_PROGRAM: usize = 4096;
+const NONE: u32 = u32::MAX;
+
+/// `World` of `scene.wgsl`.
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
+#[repr(C)]
+pub(crate) struct WorldRecord {
+    placements: u32,
+    top_nodes: u32,
+    top_order: u32,
+    top_reach: f32,
+    bottom_nodes: u32,
+    bottom_slots: u32,
+    bottom_cold: u32,
+    bottom_flags: u32,
+    bottom_reach: f32,
+    instances: u32,
+    first_of_shape: u32,
+    shapes: u32,
+    lights: u32,
+    light_count: u32,
+    alias_slots: u32,
+    alias_count: u32,
+    probabilities: u32,
+    environments: u32,
+    environment_count: u32,
+    emitter_placements: u32,
+    emitter_nodes: u32,
+    emitter_slots: u32,
+    emitter_cold: u32,
+    emitter_flags: u32,
+    emitter_reach: f32,
+    emitter_first: u32,
+    padding: [u32; 2],
+}
+
+/// `CameraRays` of `scene.wgsl`.
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
+#[repr(C)]
+pub(crate) struct CameraRecord {
+    pub(crate) origin: [f32; 4],
+    pub(crate) corner: [f32; 4],
+    pub(crate) right: [f32; 4],
+    pub(crate) down: [f32; 4],
+}
+
+/// `Projection` of `scene.wgsl`.
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
+#[repr(C)]
+pub(crate) struct ProjectionRecord {
+    pub(crate) row_x: [f32; 4],
+    pub(crate) row_y: [f32; 4],
+    pub(crate) row_z: [f32; 4],
+    pub(crate) origin: [f32; 4],
+    pub(crate) scale: [f32; 4],
+}
+
+/// Buffers of a plan that kernels can address.
+pub(crate) const MAX_BUFFERS: usize = 16;
+
+/// `Inputs` of `scene.wgsl`: what a frame's kernels share.
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
+#[repr(C)]
+pub(crate) struct Inputs {
+    pub(crate) run: [u32; 2],
+    pub(crate) frame: u32,
+    pub(crate) effort: u32,
+    pub(crate) size: [u32; 2],
+    pub(crate) depth: u32,
+    pub(crate) box_filter: u32,
+    pub(crate) remap: [u32; 4],
+    pub(crate) instances: [u32; 4],
+    pub(crate) srgb: u32,
+    pub(crate) items: u32,
+    pub(crate) padding: [u32; 2],
+    pub(crate) camera: CameraRecord,
+    pub(crate) camera_before: CameraRecord,
+    pub(crate) projection: ProjectionRecord,
+    pub(crate) worlds: [WorldRecord; 2],
+    pub(crate) buffers: [[u32; 4]; MAX_BUFFERS],
+}
+
+/// What leads from the previous frame's lists to this one's.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Links<'a> {
+    /// Place by light of the previous frame in this one, and back; `None`: the same.
+    pub(crate) lights: Option<(&'a [u32], &'a [u32])>,
+    /// Place then of each instance; `None`: the same.
+    pub(crate) instances: Option<&'a [u32]>,
+}
+
+/// Where each material, texture and image lies.
+#[derive(Debug, Default)]
+struct Places {
+    materials: Vec<u32>,
+    textures: Vec<u32>,
+    /// By address: images are compared by identity.
+    images: HashMap<usize, u32>,
+}
+
+impl Names for Places {
+    fn color(&self, color: Color) -> [u32; 4] {
+        match color {
+            Color::Constant(v) => [NONE, v.x.to_bits(), v.y.to_bits(), v.z.to_bits()],
+            Color::Texture(id) => [self.textures[id.index()], 0, 0, 0],
+        }
+    }
+
+    fn scalar(&self, scalar: Scalar) -> [u32; 2] {
+        match scalar {
+            Scalar::Constant(v) => [NONE, v.to_bits()],
+            Scalar::Texture(id, channel) => [channel as u32, self.textures[id.index()]],
+        }
+    }
+
+    fn image(&self, image: &Arc<Image>) -> u32 {
+        self.images[&(Arc::as_ptr(image) as usize)]
+    }
+}
+
+/// What stays while objects, materials and images do.
+#[derive(Debug)]
+struct Statics {
+    trees: Trees,
+    bottoms: Vec<Placed>,
+    arenas: TreeArenas,
+    words: Vec<u32>,
+    texels: Vec<u32>,
+    places: Places,
+    srgb: u32,
+    materials: u32,
+    textured: bool,
+    /// Kept so that images' addresses, which `places` holds, are not given away.
+    images: Vec<Arc<Image>>,
+    /// Of materials and textures, which the host may change in place.
+    described: u64,
+}
+
+impl Statics {
+    fn new(world: &World) -> Result<Self> {
+        let scene = &*world.scene;
+        let mut arenas = TreeArenas::default();
+        let bottoms = world.accel.export_bottoms(&mut arenas)?;
+        let mut words = Words::default();
+        let mut texels = Vec::new();
+        let mut places = Places::default();
+        let srgb = words.put(srgb_table().iter().map(|v| v.to_bits()));
+        for image in &scene.images {
+            let at = texels.len() as u32;
+            let format = match &image.data {
+                ImageData::Srgb8(data) => {
+                    texels.extend_from_slice(bytemuck::cast_slice(data));
+                    0
+                }
+                ImageData::Linear8(data) => {
+                    texels.extend_from_slice(bytemuck::cast_slice(data));
+                    1
+                }
+                ImageData::Float(data) => {
+                    texels.extend_from_slice(bytemuck::cast_slice(data));
+                    2
+                }
+            };
+            let header = words.put([format, at, image.width, image.height]);
+            places.images.insert(Arc::as_ptr(image) as usize, header);
+        }
+        for number in 0..scene.textures.len() {
+            let mut program = Vec::new();
+            let id = TextureId(number as u32);
+            let deepest = texture_program(scene, &places, id, &mut program);
+            if deepest > TEXTURE_STACK || program.len() > TEXTURE_PROGRAM {
+                return Err(Error::gpu(format!(
+                    "texture {number} holds {deepest} values at once in {} words, at most {TEXTURE_STACK} in {TEXTURE_PROGRAM} are possible",
+                    program.len()
+                )));
+            }
+            let at = words.put([program.len() as u32]);
+            words.put(program);
+            places.textures.push(at);
+        }
+        let mut kinds = 0;
+        for material in &scene.materials {
+            let record = material_words(&places, material, &mut words);
+            kinds |= 1 << record[0];
+            places.materials.push(words.put(record));
+        }
+        // Parts of a mix stand before or after it, so their places are known only now.
+        for (number, material) in scene.materials.iter().enumerate() {
+            if let Material::Mix { first, second, .. } = material {
+                let at = places.materials[number] as usize;
+                words.data[at + 1] = places.materials[first.index()];
+                words.data[at + 2] = places.materials[second.index()];
+            }
+        }
+        Ok(Self {
+            trees: world.accel.trees(),
+            bottoms,
+            arenas,
+            words: words.data,
+            texels,
+            places,
+            srgb,
+            materials: kinds,
+            textured: !scene.textures.is_empty(),
+            images: scene.images.clone(),
+            described: described(scene),
+        })
+    }
+
+    /// Whether `world` has the same objects, images, materials and textures.
+    fn fits(&self, world: &World) -> bool {
+        let scene = &*world.scene;
+        self.trees == world.accel.trees()
+            && self.described == described(scene)
+            && self.images.len() == scene.images.len()
+            && self.images.iter().zip(&scene.images).all(|(a, b)| Arc::ptr_eq(a, b))
+    }
+}
+
+/// A hash of what materials and textures say.
+fn described(scene: &Scene) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    format!("{:?} {:?}", scene.materials, scene.textures).hash(&mut hasher);
+    hasher.finish()
+}
+
+/// Appends the postfix program of a texture; returns the most values it holds at once.
+fn texture_program(scene: &Scene, places: &Places, id: TextureId, to: &mut Vec<u32>) -> usize {
+    if to.len() > TEXTURE_PROGRAM {
+        return 0;
+    }
+    let texture = &scene.textures[id.index()];
+    let mapping = texture.mapping.to_cols_array().map(f32::to_bits);
+    let color = |color: Color, to: &mut Vec<u32>| match color {
+        Color::Constant(v) => {
+            to.push(0);
+            to.extend(v.extend(1.0).to_array().map(f32::to_bits));
+            1
+        }
+        Color::Texture(id) => texture_program(scene, places, id, to),
+    };
+    match texture.kind {
+        TextureKind::Constant(v) => {
+            to.push(0);
+            to.extend(v.to_array().map(f32::to_bits));
+            1
+        }
+        TextureKind::Image { image, wrap, scale, invert } => {
+            to.push(1);
+            to.extend(mapping);
+            let wrap = match wrap {
+                Wrap::Repeat => 0,
+                Wrap::Clamp => 1,
+                Wrap::Black => 2,
+                Wrap::Mirror => 3,
+            };
+            let header = places.image(&scene.images[image.index()]);
+            to.extend([header, wrap, scale.to_bits(), u32::from(invert)]);
+            1
+        }
+        TextureKind::Checkerboard { first, second } => {
+            let deepest = color(first, to).max(1 + color(second, to));
+            to.push(2);
+            to.extend(mapping);
+            deepest
+        }
+        TextureKind::Product { first, second } => {
+            let deepest = texture_program(scene, places, first, to)
+                .max(1 + texture_program(scene, places, second, to));
+            to.push(3);
+            deepest
+        }
+        TextureKind::Threshold { value, cutoff } => {
+            let (deepest, channel) = match value {
+                Scalar::Constant(v) => (color(Color::Constant(glam::Vec3::splat(v)), to), 0),
+                Scalar::Texture(id, channel) => {
+                    (texture_program(scene, places, id, to), channel as u32)
+                }
+            };
+            to.extend([4, channel, cutoff.to_bits()]);
+            deepest
+        }
+    }
+}
+
+/// A material's words; what it needs beside them is put before.
+fn material_words(places: &Places, material: &Material, words: &mut Words) -> Vec<u32> {
+    let mut to = Vec::new();
+    let color = |to: &mut Vec<u32>, c: Color| to.extend(places.color(c));
+    let scalar = |to: &mut Vec<u32>, s: Scalar| to.extend(places.scalar(s));
+    let roughness = |to: &mut Vec<u32>, r: Roughness| {
+        to.extend(places.scalar(r.u));
+        to.extend(places.scalar(r.v));
+        to.push(r.remap.into());
+    };
+    match *material {
+        Material::Diffuse { reflectance } => {
+            to.push(0);
+            color(&mut to, reflectance);
+        }
+        Material::DiffuseTransmission { reflectance, transmittance } => {
+            to.push(1);
+            color(&mut to, reflectance);
+            color(&mut to, transmittance);
+        }
+        Material::Conductor { color: tint, roughness: r } => {
+            to.push(2);
+            let (mode, first, second) = match tint {
+                ConductorColor::Complex { eta, k } => (0, eta, k),
+                ConductorColor::Reflectance(c) => (1, c, c),
+            };
+            to.push(mode);
+            color(&mut to, first);
+            color(&mut to, second);
+            roughness(&mut to, r);
+        }
+        Material::Dielectric { eta, roughness: r } => {
+            to.extend([3, eta.to_bits()]);
+            roughness(&mut to, r);
+        }
+        Material::ThinDielectric { eta } => to.extend([4, eta.to_bits()]),
+        Material::CoatedDiffuse { reflectance, eta, roughness: r } => {
+            to.push(5);
+            color(&mut to, reflectance);
+            to.push(eta.to_bits());
+            roughness(&mut to, r);
+            let alphas = coat_rows(r);
+            let first = *alphas.start() as u32;
+            let (lower, higher, weight) = index_cell(eta.max(1.0));
+            let lower_at = words.put(rows_of(lower, alphas.clone()).iter().map(|v| v.to_bits()));
+            let higher_at = if higher == lower {
+                lower_at
+            } else {
+                words.put(rows_of(higher, alphas).iter().map(|v| v.to_bits()))
+            };
+            to.extend([lower_at, higher_at, first, weight.to_bits()]);
+        }
+        Material::MetallicRoughness {
+            base_color,
+            metallic,
+            roughness: r,
+            ior,
+            specular,
+            specular_color,
+            transmission,
+            double_sided,
+        } => {
+            to.push(6);
+            color(&mut to, base_color);
+            scalar(&mut to, metallic);
+            scalar(&mut to, r);
+            to.push(ior.to_bits());
+            scalar(&mut to, specular);
+            color(&mut to, specular_color);
+            scalar(&mut to, transmission);
+            to.push(double_sided.into());
+        }
+        Material::Mix { first: _, second: _, amount } => {
+            to.extend([7, 0, 0]);
+            scalar(&mut to, amount);
+        }
+    }
+    to
+}
+
+/// Rows of the table of rough interfaces that a coat may ask for: those around its roughness, all where that is textured.
+fn coat_rows(r: Roughness) -> std::ops::RangeInclusive<usize> {
+    let (Scalar::Constant(u), Scalar::Constant(v)) = (r.u, r.v) else { return 0..=NODES - 1 };
+    let alpha = |x: f32| if r.remap { x.max(0.0).sqrt() } else { x.max(0.0) };
+    let mean = (alpha(u) * alpha(v)).sqrt().min(1.0);
+    let at = (mean.sqrt().sqrt() * (NODES - 1) as f32) as usize;
+    // One more on either side: the kernel's own rounding, the least roughness, smooth surfaces' row 0.
+    let first = if mean < 2e-3 { 0 } else { at.saturating_sub(1) };
+    first..=(at + 2).min(NODES - 1)
+}
+
+/// What changes from frame to frame.
+#[derive(Debug)]
+struct Dynamic {
+    nodes: Vec<Quad>,
+    geometry: Vec<Quad>,
+    words: Vec<u32>,
+    record: WorldRecord,
+    remap: [u32; 4],
+    instances: [u32; 4],
+}
+
+impl Dynamic {
+    /// With its parts to lie at `base` (nodes, geometry, words).
+    fn new(world: &World, statics: &Statics, base: [u32; 3], links: &Links<'_>) -> Result<Self> {
+        let mut record = WorldRecord::default();
+        let mut nodes = Vec::new();
+        let mut words = Words { base: base[2], data: Vec::new() };
+        record.placements = base[0] + world.accel.export_placements(&statics.bottoms, &mut nodes);
+        let (top, order, reach) = world.accel.export_top(&mut nodes)?;
+        record.top_nodes = if top == NO_TREE { NO_TREE } else { base[0] + top };
+        record.top_reach = reach;
+        record.top_order = words.put(order.iter().copied());
+        record.instances = world.scene.instances.len() as u32;
+        if let Some(bottom) = statics.bottoms.first() {
+            record.bottom_nodes = bottom.nodes;
+            record.bottom_slots = bottom.slots;
+            record.bottom_cold = bottom.cold;
+            record.bottom_flags = bottom.flags;
+            record.bottom_reach = bottom.reach;
+        } else {
+            record.bottom_nodes = NO_TREE;
+        }
+        record.emitter_nodes = NO_TREE;
+        let mut arenas = TreeArenas { nodes, geometry: Vec::new() };
+        if let Some(emitters) = world.emitters() {
+            let (accel, first) = emitters.parts();
+            let bottoms = accel.export_bottoms(&mut arenas)?;
+            let placed = bottoms[0];
+            record.emitter_nodes =
+                if placed.nodes == NO_TREE { NO_TREE } else { base[0] + placed.nodes };
+            record.emitter_slots = base[1] + placed.slots;
+            record.emitter_cold = base[1] + placed.cold;
+            record.emitter_flags = placed.flags;
+            record.emitter_reach = placed.reach;
+            record.emitter_placements =
+                base[0] + accel.export_placements(&bottoms, &mut arenas.nodes);
+            record.emitter_first = words.put(first.iter().copied());
+        }
+        record.shapes = words.at();
+        for shape in &world.shapes {
+            let alpha = shape.alpha.map_or([NONE, 0], |alpha| statics.places.scalar(alpha));
+            let flags = u32::from(shape.alpha.is_some()) | u32::from(shape.anisotropic) << 1;
+            words.put([
+                statics.places.materials[shape.material.index()],
+                alpha[0],
+                alpha[1],
+                flags,
+            ]);
+        }
+        let lights = world.lights.export(&statics.places, &mut words);
+        record.first_of_shape = lights.first_of_shape;
+        record.lights = lights.lights;
+        record.light_count = lights.light_count;
+        record.alias_slots = lights.alias_slots;
+        record.alias_count = lights.alias_count;
+        record.probabilities = lights.probabilities;
+        record.environments = lights.environments;
+        record.environment_count = lights.environment_count;
+        let mut remap = [NONE, 0, NONE, 0];
+        if let Some((to_current, to_previous)) = links.lights {
+            remap = [
+                words.put(to_current.iter().copied()),
+                to_current.len() as u32,
+                words.put(to_previous.iter().copied()),
+                to_previous.len() as u32,
+            ];
+        }
+        let mut instances = [NONE, 0, 0, 0];
+        if let Some(places) = links.instances {
+            instances[0] = words.put(places.iter().copied());
+        }
+        Ok(Self {
+            nodes: arenas.nodes,
+            geometry: arenas.geometry,
+            words: words.data,
+            record,
+            remap,
+            instances,
+        })
+    }
+
+    fn lengths(&self) -> [u32; 3] {
+        [self.nodes.len() as u32, self.geometry.len() as u32, self.words.len() as u32]
+    }
+}
+
+/// A scene's arenas on a device.
+#[derive(Debug)]
+pub(crate) struct SceneBuffers {
+    statics: Statics,
+    buffers: [wgpu::Buffer; 4],
+    /// Where each turn's second parts begin, and how much room they have.
+    base: [[u32; 3]; 2],
+    room: [u32; 3],
+    records: [WorldRecord; 2],
+    remap: [u32; 4],
+    instances: [u32; 4],
+    /// Whose turn it is.
+    turn: usize,
+    constants: SceneConstants,
+}
+
+impl SceneBuffers {
+    /// Of a world that is shown alone.
+    pub(crate) fn still(gpu: &Gpu, world: &World) -> Result<Self> {
+        Self::new(gpu, world, None, &Links::default())
+    }
+
+    /// Of a world and the one before it, with room for what comes.
+    pub(crate) fn new(
+        gpu: &Gpu,
+        world: &World,
+        previous: Option<&World>,
+        links: &Links<'_>,
+    ) -> Result<Self> {
+        let statics = Statics::new(world)?;
+        let start = [
+            statics.arenas.nodes.len() as u32,
+            statics.arenas.geometry.len() as u32,
+            statics.words.len() as u32,
+        ];
+        let now = Dynamic::new(world, &statics, start, links)?;
+        let mut room = now.lengths();
+        let mut base = [start; 2];
+        let mut before = None;
+        if let Some(previous) = previous {
+            // Lights and instances may come: an eighth more.
+            let needed = Dynamic::new(previous, &statics, start, &Links::default())?.lengths();
+            for part in 0..3 {
+                room[part] = room[part].max(needed[part]);
+                room[part] += room[part] / 8 + 64;
+                base[1][part] = start[part] + room[part];
+            }
+            before = Some(Dynamic::new(previous, &statics, base[1], &Links::default())?);
+        }
+        let turns = if previous.is_some() { 2 } else { 1 };
+        let total = |part: usize| u64::from(start[part]) + turns * u64::from(room[part]);
+        let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST;
+        let buffers = [
+            gpu.buffer("the scene's nodes", 16 * total(0), usage)?,
+            gpu.buffer("the scene's geometry", 16 * total(1), usage)?,
+            gpu.buffer("the scene's words", 4 * total(2), usage)?,
+            gpu.buffer("the scene's texels", 4 * statics.texels.len() as u64, usage)?,
+        ];
+        let queue = gpu.queue();
+        queue.write_buffer(&buffers[0], 0, bytemuck::cast_slice(&statics.arenas.nodes));
+        queue.write_buffer(&buffers[1], 0, bytemuck::cast_slice(&statics.arenas.geometry));
+        queue.write_buffer(&buffers[2], 0, bytemuck::cast_slice(&statics.words));
+        queue.write_buffer(&buffers[3], 0, bytemuck::cast_slice(&statics.texels));
+        let constants = SceneConstants {
+            two_level: world.accel.is_two_level(),
+            quadrics: world.accel.has_quadrics(),
+            coverage: world.has_alpha,
+            textures: statics.textured,
+            environments: world.lights.environments().next().is_some(),
+            anisotropic: world.shapes.iter().any(|shape| shape.anisotropic),
+            materials: statics.materials,
+            stack: world.accel.stack_entries().max(emitter_stack(world)) as u32,
+        };
+        let mut scene = Self {
+            statics,
+            buffers,
+            base,
+            room,
+            records: [now.record; 2],
+            remap: now.remap,
+            instances: now.instances,
+            turn: 0,
+            constants,
+        };
+        scene.write(gpu, 0, &now);
+        if let Some(before) = before {
+            scene.write(gpu, 1, &before);
+            scene.records[1] = before.record;
+        }
+        gpu.check()?;
+        // Their bytes are on the device; where they lie is all that is asked from now on.
+        scene.statics.arenas = TreeArenas::default();
+        scene.statics.words = Vec::new();
+        scene.statics.texels = Vec::new();
+        Ok(scene)
+    }
+
+    fn write(&self, gpu: &Gpu, turn: usize, part: &Dynamic) {
+        let [nodes, geometry, words] = self.base[turn].map(u64::from);
+        let queue = gpu.queue();
+        queue.write_buffer(&self.buffers[0], 16 * nodes, bytemuck::cast_slice(&part.nodes));
+        queue.write_buffer(&self.buffers[1], 16 * geometry, bytemuck::cast_slice(&part.geometry));
+        queue.write_buffer(&self.buffers[2], 4 * words, bytemuck::cast_slice(&part.words));
+    }
+
+    /// The next frame's world takes its turn; the one of now becomes the previous one. False: there is no room, or things changed that are written
+    /// once; then all must be made anew.
+    pub(crate) fn advance(&mut self, gpu: &Gpu, world: &World, links: &Links<'_>) -> Result<bool> {
+        if self.base[0] == self.base[1] || !self.statics.fits(world) {
+            return Ok(false);
+        }
+        let next = 1 - self.turn;
+        let part = Dynamic::new(world, &self.statics, self.base[next], links)?;
+        let fits = part.lengths().iter().zip(self.room).all(|(needed, room)| *needed <= room);
+        let stack = world.accel.stack_entries().max(emitter_stack(world)) as u32;
+        if !fits || stack > self.constants.stack {
+            return Ok(false);
+        }
+        self.write(gpu, next, &part);
+        self.records[next] = part.record;
+        (self.remap, self.instances) = (part.remap, part.instances);
+        self.turn = next;
+        Ok(true)
+    }
+
+    /// What kernels need not ask.
+    pub(crate) fn constants(&self) -> &SceneConstants {
+        &self.constants
+    }
+
+    /// The arenas, in the order of their bindings.
+    pub(crate) fn buffers(&self) -> &[wgpu::Buffer; 4] {
+        &self.buffers
+    }
+
+    /// Bytes on the device.
+    pub(crate) fn bytes(&self) -> u64 {
+        self.buffers.iter().map(wgpu::Buffer::size).sum()
+    }
+
+    /// Fills in where things are.
+    pub(crate) fn describe(&self, inputs: &mut Inputs) {
+        inputs.worlds = [self.records[self.turn], self.records[1 - self.turn]];
+        inputs.remap = self.remap;
+        inputs.instances = self.instances;
+        inputs.srgb = self.statics.srgb;
+    }
+}
+
+fn emitter_stack(world: &World) -> usize {
+    world.emitters().map_or(0, |emitters| emitters.parts().0.stack_entries())
+}
