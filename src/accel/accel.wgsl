@@ -397,15 +397,18 @@ fn offer(s: ptr<function, Search>, t: f32, u: f32, v: f32, primitive: u32, insta
     if t == (*s).limit && (!(*s).found || !rank_before((*s).w, hit, (*s).best)) {
         return false;
     }
+    //#if COVERAGE
     if COVERAGE && !covers((*s).w, (*s).caller, hit) {
         return false;
     }
+    //#endif
     (*s).limit = t;
     (*s).best = hit;
     (*s).found = true;
     return true;
 }
 
+//#if QUADRICS
 // Parameters of the hits with a sphere, ascending; -1 is none.
 fn sphere_roots(center: vec3f, radius: f32, origin: vec3f, direction: vec3f, smallest: f32) -> vec2f {
     let o = origin - center;
@@ -434,11 +437,13 @@ fn near_bound(o: vec3f, radius: f32, direction: vec3f, origin_error: vec3f) -> f
     const BOUND: f32 = 1.0 / 262144.0;
     return (BOUND * (sqrt(dot3(o, o)) + radius) + 4.0 * max3(origin_error)) / sqrt(dot3(direction, direction));
 }
+//#endif
 
 fn disk_tangents(normal: vec3f) -> Frame {
     return frame_from_normal(normal);
 }
 
+//#if QUADRICS
 // Where a ray meets a sphere or a disk, at most twice.
 struct QuadricCrossings {
     instance: u32,
@@ -523,6 +528,7 @@ fn offer_quadric(
     }
     return false;
 }
+//#endif
 
 fn single(
     s: ptr<function, Search>,
@@ -533,12 +539,14 @@ fn single(
     instance: u32,
 ) -> bool {
     let slot = bottom.slots + number * 3u;
+    //#if QUADRICS
     if QUADRICS && (bottom.flags & 1u) != 0u {
         let kind = bitcast<f32>(geometry[slot].w);
         if kind != 0.0 {
             return offer_quadric(s, bottom, local, number, instance, kind);
         }
     }
+    //#endif
     let crossing = cross_triangle(slot, triangle, (*s).limit);
     if crossing.error < 0.0 {
         return false;
@@ -636,6 +644,7 @@ fn query(w: u32, ray: Ray, any: bool) -> Search {
     s.limit = min(ray.t_max / unit_length, FAR);
     s.direction = ray.direction * unit_length;
     let local = LocalRay(ray.origin, s.direction, vec3f(0.0), vec3f(0.0));
+    //#if !TWO_LEVEL
     if !TWO_LEVEL {
         let bottom = bottom_of_world(w);
         if bottom.nodes != NONE {
@@ -643,6 +652,7 @@ fn query(w: u32, ray: Ray, any: bool) -> Search {
         }
         return s;
     }
+    //#else
     let root = inputs.worlds[w].top_nodes;
     if root == NONE {
         return s;
@@ -671,6 +681,7 @@ fn query(w: u32, ray: Ray, any: bool) -> Search {
             }
         }
     }
+    //#endif
     return s;
 }
 
@@ -694,6 +705,7 @@ struct HitPoint {
     instance: u32,
 }
 
+//#if QUADRICS
 fn quadric_point(bottom: Bottom, hit: Hit, cold: vec4<u32>, first_shape: u32) -> HitPoint {
     let placement = placement_at(bottom.placements, hit.instance);
     let slot = bottom.slots + hit.primitive * 3u;
@@ -722,6 +734,7 @@ fn quadric_point(bottom: Bottom, hit: Hit, cold: vec4<u32>, first_shape: u32) ->
     let world_normal = unit(normal_to_world(placement, normal * side));
     return HitPoint(position, error, world_normal, world_normal, uv, first_shape + cold.x, cold.y, hit.instance);
 }
+//#endif
 
 // Azimuth from +x and polar angle from -z, both in [0, 1].
 fn uv_on_sphere(normal: vec3f) -> vec2f {
@@ -739,9 +752,11 @@ fn point_in(w: u32, bottom: Bottom, hit: Hit, placed: bool) -> HitPoint {
     }
     let slot = bottom.slots + hit.primitive * 3u;
     let xs = bitcast<vec4f>(geometry[slot]);
+    //#if QUADRICS
     if QUADRICS && (bottom.flags & 1u) != 0u && xs.w != 0.0 {
         return quadric_point(bottom, hit, cold, first_shape);
     }
+    //#endif
     let ys = bitcast<vec4f>(geometry[slot + 1u]);
     let zs = bitcast<vec4f>(geometry[slot + 2u]);
     let weights = vec3f(1.0 - hit.u - hit.v, hit.u, hit.v);
@@ -769,6 +784,7 @@ fn point_in(w: u32, bottom: Bottom, hit: Hit, placed: bool) -> HitPoint {
             shading = n / sqrt(squared);
         }
     }
+    //#if TWO_LEVEL
     if placed {
         position = row_point(placement + 3u, position);
         error = row_magnitude(placement + 3u, magnitude) * gamma(11.0);
@@ -778,6 +794,7 @@ fn point_in(w: u32, bottom: Bottom, hit: Hit, placed: bool) -> HitPoint {
             shading = normal;
         }
     }
+    //#endif
     let uv0 = bitcast<vec2f>(c4.xy);
     let uv1 = bitcast<vec2f>(c4.zw);
     let uv2 = bitcast<vec2f>(c5.xy);

@@ -61,13 +61,38 @@ pub(crate) struct TreeArenas {
     pub(crate) geometry: Vec<Quad>,
 }
 
-/// What identifies the trees over primitives of an [`Accel`]: equal lists mean the same trees.
-#[derive(Clone, Debug)]
-pub(crate) struct Trees(Vec<Arc<Bottom>>);
+/// Trees over primitives that were written, of any number of scenes, and where each lies.
+#[derive(Debug, Default)]
+pub(crate) struct Written(Vec<(Arc<Bottom>, Placed)>);
 
-impl PartialEq for Trees {
-    fn eq(&self, other: &Self) -> bool {
-        self.0.len() == other.0.len() && self.0.iter().zip(&other.0).all(|(a, b)| Arc::ptr_eq(a, b))
+impl Written {
+    fn find(&self, bottom: &Arc<Bottom>) -> Option<Placed> {
+        self.0.iter().find(|(known, _)| Arc::ptr_eq(known, bottom)).map(|(_, placed)| *placed)
+    }
+
+    /// Where the trees of `accel` lie, in its order; `None` if one was not written.
+    pub(crate) fn of(&self, accel: &Accel) -> Option<Vec<Placed>> {
+        // Mostly all are the same, in the same order.
+        let same = self.0.len() >= accel.bottoms.len()
+            && self.0.iter().zip(&accel.bottoms).all(|((a, _), b)| Arc::ptr_eq(a, b));
+        if same {
+            return Some(self.0[..accel.bottoms.len()].iter().map(|(_, placed)| *placed).collect());
+        }
+        accel.bottoms.iter().map(|bottom| self.find(bottom)).collect()
+    }
+
+    /// Writes those trees of `accel` that were not yet.
+    ///
+    /// # Errors
+    /// A tree of another layout than [`super::Layout::Cwbvh`].
+    pub(crate) fn add(&mut self, accel: &Accel, to: &mut TreeArenas) -> Result<()> {
+        for bottom in &accel.bottoms {
+            if self.find(bottom).is_none() {
+                let placed = to.bottom(bottom)?;
+                self.0.push((bottom.clone(), placed));
+            }
+        }
+        Ok(())
     }
 }
 
@@ -119,17 +144,13 @@ impl TreeArenas {
             }
             self.geometry.extend_from_slice(bytemuck::cast_slice(&words));
         }
-        let flags = u32::from(bottom.mixed) * MIXED | u32::from(bottom.flat) * FLAT;
+        let flag = |holds: bool, bit: u32| if holds { bit } else { 0 };
+        let flags = flag(bottom.mixed, MIXED) | flag(bottom.flat, FLAT);
         Ok(Placed { nodes, slots, cold, flags, reach: bottom.tree.reach() })
     }
 }
 
 impl Accel {
-    /// What identifies the trees over primitives.
-    pub(crate) fn trees(&self) -> Trees {
-        Trees(self.bottoms.clone())
-    }
-
     /// Writes the trees over primitives.
     ///
     /// # Errors
@@ -147,7 +168,7 @@ impl Accel {
             to.extend(rows(&placement.to_world64));
             let bottom = bottoms[if self.top.is_some() { placement.bottom as usize } else { 0 }];
             to.push([placement.first_shape, bottom.nodes, bottom.slots, bottom.cold]);
-            let flags = bottom.flags | u32::from(placement.identity) * IDENTITY;
+            let flags = bottom.flags | if placement.identity { IDENTITY } else { 0 };
             to.push([flags, bottom.reach.to_bits(), 0, 0]);
             debug_assert_eq!(to.len() - at, PLACEMENT);
         }

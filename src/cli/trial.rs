@@ -543,7 +543,8 @@ mod tests {
         let filter = crate::plan::Filter::Point;
         let shot = Shot { size: [16, 16], depth: 2, filter, run: 1, effort: 1, fps: 30 };
         let stage = crate::frame::Stage::new(scene).unwrap();
-        let engine = Engine { scene: "x".into(), name: "x".into(), stage, shot };
+        let backend = crate::frame::Backend::Cpu;
+        let engine = Engine { scene: "x".into(), name: "x".into(), stage, shot, backend };
         let cache = std::env::temp_dir().join(format!("afterimage-trial-{}", std::process::id()));
         let args =
             ReferenceArgs { reference: None, reference_time: 4.0, cache: Some(cache.clone()) };

@@ -275,6 +275,7 @@ fn candidates(
         var emitter: EmitterPoint;
         var point: LightPoint;
         var known = 0.0;
+        //#if LIGHT_TILES
         if LIGHT_TILES != 0u {
             let word = candidate & 3u;
             if word == 0u {
@@ -295,7 +296,9 @@ fn candidates(
                 state[at + 10u],
                 true,
             );
-        } else {
+        }
+        //#else
+        if LIGHT_TILES == 0u {
             draw = draw4(second_round(seeds, PURPOSE_PATH_SEED, first + candidate), 0u, BLOCK_LIGHT);
             point.light = choose_light(NOW, draw.x, draw.y);
             point.uv = vec2f(unit_float(draw.z), unit_float(draw.w));
@@ -304,6 +307,7 @@ fn candidates(
                 continue;
             }
         }
+        //#endif
         let arrival = emitter_towards(NOW, emitter, place);
         if !arrival.valid {
             continue;
@@ -336,6 +340,7 @@ fn candidates(
             continue;
         }
         let direction = unit(to_world(receiver.surface.frame, sample.wi));
+        //#if ENVIRONMENTS
         if ENVIRONMENTS {
             for (var i = 0u; i < inputs.worlds[NOW].environment_count; i++) {
                 let environment = environment_number(NOW, i);
@@ -345,10 +350,13 @@ fn candidates(
                 }
             }
         }
+        //#endif
+        //#if CANDIDATE_SURFACES
         if CANDIDATE_SURFACES && inputs.worlds[NOW].emitter_nodes != NONE {
             count(EMITTER_RAYS, 1u);
             along_emitters(receiver, direction, &s, shares, random);
         }
+        //#endif
     }
     count(WEIGHTS_REJECTED, s.reservoir.rejected);
     if !s.any {
@@ -398,8 +406,11 @@ fn along_emitters(
                 let slot = bottom.slots + member * 3u;
                 var hits = 1u;
                 var crossing: Crossing;
+                //#if QUADRICS
                 var quadric: QuadricCrossings;
+                //#endif
                 var is_quadric = false;
+                //#if QUADRICS
                 if QUADRICS && (bottom.flags & 1u) != 0u {
                     let kind = bitcast<f32>(geometry[slot].w);
                     if kind != 0.0 {
@@ -408,6 +419,7 @@ fn along_emitters(
                         quadric = cross_quadric(bottom, ray, member, NONE, kind);
                     }
                 }
+                //#endif
                 if !is_quadric {
                     crossing = cross_triangle(slot, triangle, FAR);
                     if crossing.error < 0.0 {
@@ -416,6 +428,7 @@ fn along_emitters(
                 }
                 for (var i = 0u; i < hits; i++) {
                     var hit = Hit(crossing.t, crossing.u, crossing.v, member, geometry[cold_at(bottom.cold, member)].z);
+                    //#if QUADRICS
                     if is_quadric {
                         let t = select(quadric.t.y, quadric.t.x, i == 0u);
                         if t < 0.0 {
@@ -424,6 +437,7 @@ fn along_emitters(
                         let uv = select(quadric.uv.zw, quadric.uv.xy, i == 0u);
                         hit = Hit(t, uv.x, uv.y, member, quadric.instance);
                     }
+                    //#endif
                     let point = point_in(NOW, bottom, hit, false);
                     let light = words[inputs.worlds[NOW].emitter_first + point.shape] + point.element;
                     offer_met(receiver, s, light_point_at(NOW, light, hit, point.position), shares, random);

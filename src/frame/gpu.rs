@@ -1,7 +1,8 @@
 //! Runs a plan's passes on a graphics processor: state in one buffer, one submission a frame.
 
 use std::sync::Arc;
-use std::time::Instant;
+use std::sync::mpsc::RecvTimeoutError;
+use std::time::{Duration, Instant};
 
 use glam::{Vec3, Vec4};
 
@@ -20,7 +21,7 @@ const COUNTERS: u64 = 256;
 /// Alignment of what queries are written to.
 const RESOLVE: u64 = 256;
 /// The frame loop's own kernel.
-const PRIMARY_HITS: &[&str] = &[include_str!("primary_hits.wgsl")];
+const PRIMARY_HITS: &str = include_str!("primary_hits.wgsl");
 
 /// A scene's arenas: shared where nothing moves.
 #[derive(Debug)]
@@ -81,8 +82,13 @@ pub(super) struct FrameState<'a> {
 }
 
 /// The twins of all passes; `None` where the technique lacks one.
-pub(super) fn twins(technique: &dyn Technique, plan: &Plan) -> Option<Vec<Twin>> {
-    let own = || Twin { entry: "primary_hits", modules: PRIMARY_HITS, constants: Vec::new() };
+pub(crate) fn twins(technique: &dyn Technique, plan: &Plan) -> Option<Vec<Twin>> {
+    let own = || Twin {
+        entry: "primary_hits",
+        modules: vec![PRIMARY_HITS],
+        constants: Vec::new(),
+        flags: Vec::new(),
+    };
     plan.passes
         .iter()
         .map(|pass| match pass.kernel {
@@ -199,7 +205,8 @@ impl Runner {
             .zip(twins)
             .map(|(pass, twin)| {
                 let scene = self.scene.get().constants();
-                let kernel = Kernel::new(twin.entry, twin.modules, &twin.constants, scene);
+                let kernel =
+                    Kernel::new(twin.entry, &twin.modules, (&twin.constants, &twin.flags), scene);
                 let pipeline = self.gpu.pipeline(&kernel)?;
                 Ok(Ready { pipeline, groups: groups(pass.domain, shot.size) })
             })
@@ -399,16 +406,20 @@ impl Runner {
             // Nobody waits any more where an error came first.
             let _ = sender.send(outcome);
         });
-        let waited = self.gpu.device().poll(wgpu::PollType::wait_indefinitely());
-        self.gpu.check()?;
         let failed = |why: &dyn std::fmt::Display| {
             Error::gpu(format!("{}: reading back failed: {why}", self.gpu.info()))
         };
-        waited.map_err(|error| failed(&error))?;
-        match receiver.try_recv() {
-            Ok(Ok(())) => {}
-            Ok(Err(error)) => return Err(failed(&error)),
-            Err(error) => return Err(failed(&error)),
+        loop {
+            let waited = self.gpu.device().poll(wgpu::PollType::wait_indefinitely());
+            self.gpu.check()?;
+            waited.map_err(|error| failed(&error))?;
+            // Another thread's poll may be about to call back for this one.
+            match receiver.recv_timeout(Duration::from_millis(20)) {
+                Ok(Ok(())) => break,
+                Ok(Err(error)) => return Err(failed(&error)),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(error) => return Err(failed(&error)),
+            }
         }
         let copy = {
             let view = buffer.get_mapped_range(..bytes).map_err(|error| failed(&error))?;
@@ -469,7 +480,7 @@ fn camera(rays: &CameraRays) -> CameraRecord {
     CameraRecord { origin, corner, right, down }
 }
 
-fn bind(
+pub(crate) fn bind(
     gpu: &Gpu,
     scene: &SceneBuffers,
     inputs: &wgpu::Buffer,

@@ -9,7 +9,9 @@
 
 mod cpu;
 #[cfg(feature = "gpu")]
-mod gpu;
+pub(crate) mod gpu;
+#[cfg(all(test, feature = "gpu"))]
+mod gpu_tests;
 mod guides;
 
 use std::sync::Arc;
@@ -130,8 +132,11 @@ pub struct FrameLoop {
 struct Device {
     runner: gpu::Runner,
     twins: Vec<crate::techniques::Twin>,
-    /// So many of the plan's passes stay on the CPU.
+    /// So many of a frame's passes stay on the CPU.
     on_cpu: usize,
+    /// So many of a frame's passes run at all.
+    #[cfg(test)]
+    stop_after: usize,
     /// State is to be cleared before the next frame.
     restarted: bool,
     /// Buffers of the last frame that were asked for.
@@ -242,12 +247,12 @@ impl FrameLoop {
         0
     }
 
-    /// Lets the CPU run the first `passes` of the plan's passes in every frame, from the same bytes: how the pass that two backends disagree in is
+    /// Lets the CPU run the first `passes` passes of every frame, from the same bytes: how the pass that two backends disagree in is
     /// found. Without a graphics processor all run there anyway.
     pub fn run_on_cpu(&mut self, passes: usize) {
         #[cfg(feature = "gpu")]
         if let Some(device) = &mut self.device {
-            device.on_cpu = passes.min(self.plan.passes.len());
+            device.on_cpu = passes;
         }
         #[cfg(not(feature = "gpu"))]
         let _ = passes;
@@ -442,7 +447,9 @@ impl FrameLoop {
         camera: CameraRays,
         index: u32,
     ) -> Result<Counters> {
-        let Device { runner, twins, on_cpu, restarted, read } = device;
+        #[cfg(test)]
+        self.chosen.truncate(device.stop_after);
+        let Device { runner, twins, on_cpu, restarted, read, .. } = device;
         read.iter_mut().for_each(|buffer| drop(buffer.take()));
         if std::mem::take(restarted) {
             runner.restart(&self.world)?;
@@ -457,7 +464,7 @@ impl FrameLoop {
         };
         let moved = index > 0 && self.stage.facts.moves();
         runner.begin(&state, moved, (twins, &self.plan))?;
-        let here = self.chosen.iter().filter(|at| **at < *on_cpu).count();
+        let here = self.chosen.len().min(*on_cpu);
         let mut counters = Counters::default();
         if here > 0 {
             runner.download(&mut self.buffers)?;
@@ -537,7 +544,15 @@ impl Device {
         }
         let runner = gpu::Runner::new(device.clone(), &twins, plan, world, how)?;
         let read = plan.buffers.iter().map(|_| std::sync::OnceLock::new()).collect();
-        Ok(Some(Self { runner, twins, on_cpu: 0, restarted: false, read }))
+        Ok(Some(Self {
+            runner,
+            twins,
+            on_cpu: 0,
+            #[cfg(test)]
+            stop_after: usize::MAX,
+            restarted: false,
+            read,
+        }))
     }
 }
 

@@ -10,6 +10,8 @@
 //! needs nothing of this crate's scene is public ([`wgsl`]), for hosts with pipelines of their own.
 
 mod shader;
+#[cfg(test)]
+pub(crate) mod tests;
 mod upload;
 
 use std::collections::HashMap;

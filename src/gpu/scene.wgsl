@@ -6,7 +6,6 @@ override QUADRICS: bool = true;
 override COVERAGE: bool = true;
 override TEXTURES: bool = true;
 override ENVIRONMENTS: bool = true;
-override MATERIALS: u32 = 0xffu;
 override ANISOTROPIC: bool = true;
 // Whether work is counted.
 override COUNT: bool = true;
@@ -331,16 +330,20 @@ fn texture_at(program: u32, uv: vec2f) -> vec4f {
 
 // A colour is NONE and three numbers, or a program.
 fn color_at(at: u32, uv: vec2f) -> vec3f {
+    //#if TEXTURES
     if TEXTURES && words[at] != NONE {
         return texture_at(words[at], uv).xyz;
     }
+    //#endif
     return vector_word(at + 1u);
 }
 
 // A number is NONE and itself, or a channel and a program.
 fn scalar_at(at: u32, uv: vec2f) -> f32 {
+    //#if TEXTURES
     if TEXTURES && words[at] != NONE {
         return channel_of(texture_at(words[at + 1u], uv), words[at]);
     }
+    //#endif
     return float_word(at + 1u);
 }

@@ -1,5 +1,6 @@
 //! Kernels: WGSL modules put together, with what the plan and the scene leave out as constants.
 
+use std::collections::HashMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
 
 /// WGSL that needs nothing of this crate's scene. Each text is part of a module: put together what you need and add your own.
@@ -35,6 +36,9 @@ const SCENE: [&str; 9] = [
     include_str!("../path/path.wgsl"),
 ];
 
+/// A name and its value.
+type Constant = (&'static str, f64);
+
 /// What a scene does not need.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct SceneConstants {
@@ -51,7 +55,7 @@ pub(crate) struct SceneConstants {
 }
 
 impl SceneConstants {
-    fn pairs(&self) -> Vec<(&'static str, f64)> {
+    fn pairs(&self) -> Vec<Constant> {
         let flag = |b: bool| f64::from(u8::from(b));
         vec![
             ("TWO_LEVEL", flag(self.two_level)),
@@ -60,8 +64,70 @@ impl SceneConstants {
             ("TEXTURES", flag(self.textures)),
             ("ENVIRONMENTS", flag(self.environments)),
             ("ANISOTROPIC", flag(self.anisotropic)),
-            ("MATERIALS", f64::from(self.materials)),
         ]
+    }
+
+    /// One flag a kind of material.
+    fn flags(&self) -> Vec<Constant> {
+        const KINDS: [&str; 8] = [
+            "HAS_DIFFUSE",
+            "HAS_DIFFUSE_TRANSMISSION",
+            "HAS_CONDUCTOR",
+            "HAS_DIELECTRIC",
+            "HAS_THIN_DIELECTRIC",
+            "HAS_COATED",
+            "HAS_METALLIC",
+            "HAS_MIX",
+        ];
+        let kinds = KINDS.iter().enumerate();
+        kinds.map(|(kind, name)| (*name, f64::from(self.materials >> kind & 1))).collect()
+    }
+}
+
+/// Appends `text` without the parts that constants leave out, so that drivers never see them: their compilers inline everything before they drop
+/// anything, and take minutes over what is never run.
+///
+/// Directives are comments, so a text is valid as a whole, too: `//#if NAME`, `//#if !NAME`, `//#if NAME=3|4`, `//#else`, `//#endif`. What asks
+/// for a name without a value stays, with all of its branches.
+pub(super) fn select(text: &str, known: &HashMap<&str, f64>, out: &mut String) {
+    // For each open directive: whether its lines stay, and whether its other branch does.
+    let mut open: Vec<(bool, bool)> = Vec::new();
+    for line in text.lines() {
+        let directive = line.trim_start().strip_prefix("//#");
+        match directive.map(|d| d.split_once(' ').unwrap_or((d, ""))) {
+            Some(("if", condition)) => {
+                let holds = condition_holds(condition.trim(), known);
+                open.push((holds.unwrap_or(true), !holds.unwrap_or(false)));
+            }
+            Some(("else", _)) => {
+                let last = open.last_mut().expect("an #else inside of an #if");
+                *last = (last.1, last.0);
+            }
+            Some(("endif", _)) => {
+                open.pop().expect("an #endif after an #if");
+            }
+            Some((other, _)) => unreachable!("no directive is called {other}"),
+            None if open.iter().all(|(stays, _)| *stays) => {
+                out.push_str(line);
+                out.push('\n');
+            }
+            None => {}
+        }
+    }
+    assert!(open.is_empty(), "an #if has no #endif");
+}
+
+/// `None`: not known.
+fn condition_holds(condition: &str, known: &HashMap<&str, f64>) -> Option<bool> {
+    if let Some(name) = condition.strip_prefix('!') {
+        return known.get(name).map(|value| *value == 0.0);
+    }
+    match condition.split_once('=') {
+        Some((name, values)) => {
+            let value = known.get(name)?;
+            Some(values.split('|').any(|v| v.parse() == Ok(*value)))
+        }
+        None => known.get(condition).map(|value| *value != 0.0),
     }
 }
 
@@ -70,7 +136,9 @@ impl SceneConstants {
 pub(crate) struct Kernel {
     pub(crate) entry: &'static str,
     modules: Vec<&'static str>,
-    pub(crate) constants: Vec<(&'static str, f64)>,
+    pub(crate) constants: Vec<Constant>,
+    /// What directives may ask besides.
+    flags: Vec<Constant>,
     stack: u32,
 }
 
@@ -78,21 +146,23 @@ impl Kernel {
     pub(crate) fn new(
         entry: &'static str,
         own: &[&'static str],
-        constants: &[(&'static str, f64)],
+        (constants, flags): (&[Constant], &[Constant]),
         scene: &SceneConstants,
     ) -> Self {
         let mut modules = SCENE.to_vec();
         modules.extend_from_slice(own);
         let mut all = scene.pairs();
         all.extend_from_slice(constants);
-        Self { entry, modules, constants: all, stack: scene.stack }
+        let flags = scene.flags().into_iter().chain(flags.iter().copied()).collect();
+        Self { entry, modules, constants: all, flags, stack: scene.stack }
     }
 
-    /// The whole module.
+    /// The whole module, without what `//#if` leaves out.
     pub(crate) fn source(&self) -> String {
         let mut text = format!("const STACK: u32 = {}u;\n\n", self.stack);
+        let known: HashMap<&str, f64> = self.constants.iter().chain(&self.flags).copied().collect();
         for module in &self.modules {
-            text.push_str(module);
+            select(module, &known, &mut text);
             text.push('\n');
         }
         text

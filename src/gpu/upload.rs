@@ -18,7 +18,7 @@ use bytemuck::{Pod, Zeroable};
 
 use super::Gpu;
 use super::shader::SceneConstants;
-use crate::accel::export::{NO_TREE, Placed, Quad, TreeArenas, Trees, Words};
+use crate::accel::export::{NO_TREE, Quad, TreeArenas, Words, Written};
 use crate::error::{Error, Result};
 use crate::light::export::Names;
 use crate::scene::{
@@ -38,32 +38,32 @@ const NONE: u32 = u32::MAX;
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
 #[repr(C)]
 pub(crate) struct WorldRecord {
-    placements: u32,
-    top_nodes: u32,
-    top_order: u32,
-    top_reach: f32,
-    bottom_nodes: u32,
-    bottom_slots: u32,
-    bottom_cold: u32,
-    bottom_flags: u32,
-    bottom_reach: f32,
-    instances: u32,
-    first_of_shape: u32,
-    shapes: u32,
-    lights: u32,
-    light_count: u32,
-    alias_slots: u32,
-    alias_count: u32,
-    probabilities: u32,
-    environments: u32,
-    environment_count: u32,
-    emitter_placements: u32,
-    emitter_nodes: u32,
-    emitter_slots: u32,
-    emitter_cold: u32,
-    emitter_flags: u32,
-    emitter_reach: f32,
-    emitter_first: u32,
+    pub(super) placements: u32,
+    pub(super) top_nodes: u32,
+    pub(super) top_order: u32,
+    pub(super) top_reach: f32,
+    pub(super) bottom_nodes: u32,
+    pub(super) bottom_slots: u32,
+    pub(super) bottom_cold: u32,
+    pub(super) bottom_flags: u32,
+    pub(super) bottom_reach: f32,
+    pub(super) instances: u32,
+    pub(super) first_of_shape: u32,
+    pub(super) shapes: u32,
+    pub(super) lights: u32,
+    pub(super) light_count: u32,
+    pub(super) alias_slots: u32,
+    pub(super) alias_count: u32,
+    pub(super) probabilities: u32,
+    pub(super) environments: u32,
+    pub(super) environment_count: u32,
+    pub(super) emitter_placements: u32,
+    pub(super) emitter_nodes: u32,
+    pub(super) emitter_slots: u32,
+    pub(super) emitter_cold: u32,
+    pub(super) emitter_flags: u32,
+    pub(super) emitter_reach: f32,
+    pub(super) emitter_first: u32,
     padding: [u32; 2],
 }
 
@@ -151,33 +151,58 @@ impl Names for Places {
     }
 }
 
-/// What stays while objects, materials and images do.
+/// A scene's materials, textures and images, as they were written.
 #[derive(Debug)]
-struct Statics {
-    trees: Trees,
-    bottoms: Vec<Placed>,
-    arenas: TreeArenas,
-    words: Vec<u32>,
-    texels: Vec<u32>,
+struct Looks {
     places: Places,
-    srgb: u32,
-    materials: u32,
-    textured: bool,
     /// Kept so that images' addresses, which `places` holds, are not given away.
     images: Vec<Arc<Image>>,
     /// Of materials and textures, which the host may change in place.
     described: u64,
 }
 
+impl Looks {
+    fn are_of(&self, scene: &Scene) -> bool {
+        self.described == described(scene)
+            && self.images.len() == scene.images.len()
+            && self.images.iter().zip(&scene.images).all(|(a, b)| Arc::ptr_eq(a, b))
+    }
+}
+
+/// What stays while objects, materials and images do.
+#[derive(Debug, Default)]
+struct Statics {
+    written: Written,
+    arenas: TreeArenas,
+    words: Words,
+    texels: Vec<u32>,
+    srgb: u32,
+    looks: Vec<Looks>,
+    /// One bit a kind of material.
+    materials: u32,
+    textured: bool,
+}
+
 impl Statics {
-    fn new(world: &World) -> Result<Self> {
-        let scene = &*world.scene;
-        let mut arenas = TreeArenas::default();
-        let bottoms = world.accel.export_bottoms(&mut arenas)?;
-        let mut words = Words::default();
-        let mut texels = Vec::new();
+    fn new<'a>(worlds: impl Iterator<Item = &'a World>) -> Result<Self> {
+        let mut statics = Self::default();
+        statics.srgb = statics.words.put(srgb_table().iter().map(|v| v.to_bits()));
+        for world in worlds {
+            statics.written.add(&world.accel, &mut statics.arenas)?;
+            if statics.looks_of(&world.scene).is_none() {
+                statics.add_looks(&world.scene)?;
+            }
+        }
+        Ok(statics)
+    }
+
+    fn looks_of(&self, scene: &Scene) -> Option<&Looks> {
+        self.looks.iter().find(|looks| looks.are_of(scene))
+    }
+
+    fn add_looks(&mut self, scene: &Scene) -> Result<()> {
         let mut places = Places::default();
-        let srgb = words.put(srgb_table().iter().map(|v| v.to_bits()));
+        let Self { words, texels, .. } = self;
         for image in &scene.images {
             let at = texels.len() as u32;
             let format = match &image.data {
@@ -211,42 +236,23 @@ impl Statics {
             words.put(program);
             places.textures.push(at);
         }
-        let mut kinds = 0;
         for material in &scene.materials {
-            let record = material_words(&places, material, &mut words);
-            kinds |= 1 << record[0];
+            let record = material_words(&places, material, words);
+            self.materials |= 1 << record[0];
             places.materials.push(words.put(record));
         }
         // Parts of a mix stand before or after it, so their places are known only now.
         for (number, material) in scene.materials.iter().enumerate() {
             if let Material::Mix { first, second, .. } = material {
                 let at = places.materials[number] as usize;
-                words.data[at + 1] = places.materials[first.index()];
-                words.data[at + 2] = places.materials[second.index()];
+                words.data[at + 2] = places.materials[first.index()];
+                words.data[at + 3] = places.materials[second.index()];
             }
         }
-        Ok(Self {
-            trees: world.accel.trees(),
-            bottoms,
-            arenas,
-            words: words.data,
-            texels,
-            places,
-            srgb,
-            materials: kinds,
-            textured: !scene.textures.is_empty(),
-            images: scene.images.clone(),
-            described: described(scene),
-        })
-    }
-
-    /// Whether `world` has the same objects, images, materials and textures.
-    fn fits(&self, world: &World) -> bool {
-        let scene = &*world.scene;
-        self.trees == world.accel.trees()
-            && self.described == described(scene)
-            && self.images.len() == scene.images.len()
-            && self.images.iter().zip(&scene.images).all(|(a, b)| Arc::ptr_eq(a, b))
+        self.textured |= !scene.textures.is_empty();
+        let (images, described) = (scene.images.clone(), described(scene));
+        self.looks.push(Looks { places, images, described });
+        Ok(())
     }
 }
 
@@ -316,47 +322,35 @@ fn texture_program(scene: &Scene, places: &Places, id: TextureId, to: &mut Vec<u
     }
 }
 
-/// A material's words; what it needs beside them is put before.
+/// Words of a material before its parameters, as in `bsdf.wgsl`.
+const MATERIAL_HEAD: usize = 10;
+/// A colour's channel.
+const RGB: u32 = 5;
+
+/// A material's words: kind, number of parameters, words of its own, parameters; what it needs beside them is put before.
 fn material_words(places: &Places, material: &Material, words: &mut Words) -> Vec<u32> {
-    let mut to = Vec::new();
-    let color = |to: &mut Vec<u32>, c: Color| to.extend(places.color(c));
-    let scalar = |to: &mut Vec<u32>, s: Scalar| to.extend(places.scalar(s));
-    let roughness = |to: &mut Vec<u32>, r: Roughness| {
-        to.extend(places.scalar(r.u));
-        to.extend(places.scalar(r.v));
-        to.push(r.remap.into());
-    };
-    match *material {
-        Material::Diffuse { reflectance } => {
-            to.push(0);
-            color(&mut to, reflectance);
-        }
+    enum Parameter {
+        Color(Color),
+        Scalar(Scalar),
+    }
+    use Parameter::{Color as C, Scalar as S};
+    let (kind, own, parameters) = match *material {
+        Material::Diffuse { reflectance } => (0, vec![], vec![C(reflectance)]),
         Material::DiffuseTransmission { reflectance, transmittance } => {
-            to.push(1);
-            color(&mut to, reflectance);
-            color(&mut to, transmittance);
+            (1, vec![], vec![C(reflectance), C(transmittance)])
         }
-        Material::Conductor { color: tint, roughness: r } => {
-            to.push(2);
-            let (mode, first, second) = match tint {
+        Material::Conductor { color, roughness: r } => {
+            let (mode, first, second) = match color {
                 ConductorColor::Complex { eta, k } => (0, eta, k),
                 ConductorColor::Reflectance(c) => (1, c, c),
             };
-            to.push(mode);
-            color(&mut to, first);
-            color(&mut to, second);
-            roughness(&mut to, r);
+            (2, vec![mode, r.remap.into()], vec![C(first), C(second), S(r.u), S(r.v)])
         }
         Material::Dielectric { eta, roughness: r } => {
-            to.extend([3, eta.to_bits()]);
-            roughness(&mut to, r);
+            (3, vec![eta.to_bits(), r.remap.into()], vec![S(r.u), S(r.v)])
         }
-        Material::ThinDielectric { eta } => to.extend([4, eta.to_bits()]),
+        Material::ThinDielectric { eta } => (4, vec![eta.to_bits()], vec![]),
         Material::CoatedDiffuse { reflectance, eta, roughness: r } => {
-            to.push(5);
-            color(&mut to, reflectance);
-            to.push(eta.to_bits());
-            roughness(&mut to, r);
             let alphas = coat_rows(r);
             let first = *alphas.start() as u32;
             let (lower, higher, weight) = index_cell(eta.max(1.0));
@@ -366,31 +360,46 @@ fn material_words(places: &Places, material: &Material, words: &mut Words) -> Ve
             } else {
                 words.put(rows_of(higher, alphas).iter().map(|v| v.to_bits()))
             };
-            to.extend([lower_at, higher_at, first, weight.to_bits()]);
+            let table = [lower_at, higher_at, first, weight.to_bits()];
+            let mut own = vec![eta.to_bits(), r.remap.into()];
+            own.extend(table);
+            (5, own, vec![C(reflectance), S(r.u), S(r.v)])
         }
         Material::MetallicRoughness {
             base_color,
             metallic,
-            roughness: r,
+            roughness,
             ior,
             specular,
             specular_color,
             transmission,
             double_sided,
-        } => {
-            to.push(6);
-            color(&mut to, base_color);
-            scalar(&mut to, metallic);
-            scalar(&mut to, r);
-            to.push(ior.to_bits());
-            scalar(&mut to, specular);
-            color(&mut to, specular_color);
-            scalar(&mut to, transmission);
-            to.push(double_sided.into());
-        }
-        Material::Mix { first: _, second: _, amount } => {
-            to.extend([7, 0, 0]);
-            scalar(&mut to, amount);
+        } => (
+            6,
+            vec![ior.to_bits(), double_sided.into()],
+            vec![
+                C(base_color),
+                S(metallic),
+                S(roughness),
+                S(specular),
+                C(specular_color),
+                S(transmission),
+            ],
+        ),
+        // Its parts' places are filled in when all are known.
+        Material::Mix { first: _, second: _, amount } => (7, vec![0, 0], vec![S(amount)]),
+    };
+    let mut to = vec![kind, parameters.len() as u32];
+    to.extend(own);
+    to.resize(MATERIAL_HEAD, 0);
+    for parameter in parameters {
+        match parameter {
+            C(Color::Texture(id)) => to.extend([places.textures[id.index()], RGB, 0, 0]),
+            C(constant) => to.extend(places.color(constant)),
+            S(Scalar::Texture(id, channel)) => {
+                to.extend([places.textures[id.index()], channel as u32, 0, 0]);
+            }
+            S(Scalar::Constant(v)) => to.extend([NONE, v.to_bits(), 0, 0]),
         }
     }
     to
@@ -420,17 +429,30 @@ struct Dynamic {
 
 impl Dynamic {
     /// With its parts to lie at `base` (nodes, geometry, words).
-    fn new(world: &World, statics: &Statics, base: [u32; 3], links: &Links<'_>) -> Result<Self> {
+    ///
+    /// # Errors
+    /// `None` inside: the world has something that `statics` has not.
+    fn new(
+        world: &World,
+        statics: &Statics,
+        base: [u32; 3],
+        links: &Links<'_>,
+    ) -> Result<Option<Self>> {
+        let (Some(written), Some(looks)) =
+            (statics.written.of(&world.accel), statics.looks_of(&world.scene))
+        else {
+            return Ok(None);
+        };
         let mut record = WorldRecord::default();
         let mut nodes = Vec::new();
         let mut words = Words { base: base[2], data: Vec::new() };
-        record.placements = base[0] + world.accel.export_placements(&statics.bottoms, &mut nodes);
+        record.placements = base[0] + world.accel.export_placements(&written, &mut nodes);
         let (top, order, reach) = world.accel.export_top(&mut nodes)?;
         record.top_nodes = if top == NO_TREE { NO_TREE } else { base[0] + top };
         record.top_reach = reach;
         record.top_order = words.put(order.iter().copied());
         record.instances = world.scene.instances.len() as u32;
-        if let Some(bottom) = statics.bottoms.first() {
+        if let Some(bottom) = written.first() {
             record.bottom_nodes = bottom.nodes;
             record.bottom_slots = bottom.slots;
             record.bottom_cold = bottom.cold;
@@ -457,16 +479,11 @@ impl Dynamic {
         }
         record.shapes = words.at();
         for shape in &world.shapes {
-            let alpha = shape.alpha.map_or([NONE, 0], |alpha| statics.places.scalar(alpha));
+            let alpha = shape.alpha.map_or([NONE, 0], |alpha| looks.places.scalar(alpha));
             let flags = u32::from(shape.alpha.is_some()) | u32::from(shape.anisotropic) << 1;
-            words.put([
-                statics.places.materials[shape.material.index()],
-                alpha[0],
-                alpha[1],
-                flags,
-            ]);
+            words.put([looks.places.materials[shape.material.index()], alpha[0], alpha[1], flags]);
         }
-        let lights = world.lights.export(&statics.places, &mut words);
+        let lights = world.lights.export(&looks.places, &mut words);
         record.first_of_shape = lights.first_of_shape;
         record.lights = lights.lights;
         record.light_count = lights.light_count;
@@ -488,14 +505,19 @@ impl Dynamic {
         if let Some(places) = links.instances {
             instances[0] = words.put(places.iter().copied());
         }
-        Ok(Self {
+        Ok(Some(Self {
             nodes: arenas.nodes,
             geometry: arenas.geometry,
             words: words.data,
             record,
             remap,
             instances,
-        })
+        }))
+    }
+
+    /// As [`Dynamic::new`], of a world that `statics` were made of.
+    fn known(world: &World, statics: &Statics, base: [u32; 3], links: &Links<'_>) -> Result<Self> {
+        Ok(Self::new(world, statics, base, links)?.expect("the statics were made of this world"))
     }
 
     fn lengths(&self) -> [u32; 3] {
@@ -532,25 +554,25 @@ impl SceneBuffers {
         previous: Option<&World>,
         links: &Links<'_>,
     ) -> Result<Self> {
-        let statics = Statics::new(world)?;
+        let statics = Statics::new(std::iter::once(world).chain(previous))?;
         let start = [
             statics.arenas.nodes.len() as u32,
             statics.arenas.geometry.len() as u32,
-            statics.words.len() as u32,
+            statics.words.data.len() as u32,
         ];
-        let now = Dynamic::new(world, &statics, start, links)?;
+        let now = Dynamic::known(world, &statics, start, links)?;
         let mut room = now.lengths();
         let mut base = [start; 2];
         let mut before = None;
         if let Some(previous) = previous {
             // Lights and instances may come: an eighth more.
-            let needed = Dynamic::new(previous, &statics, start, &Links::default())?.lengths();
+            let needed = Dynamic::known(previous, &statics, start, &Links::default())?.lengths();
             for part in 0..3 {
                 room[part] = room[part].max(needed[part]);
                 room[part] += room[part] / 8 + 64;
                 base[1][part] = start[part] + room[part];
             }
-            before = Some(Dynamic::new(previous, &statics, base[1], &Links::default())?);
+            before = Some(Dynamic::known(previous, &statics, base[1], &Links::default())?);
         }
         let turns = if previous.is_some() { 2 } else { 1 };
         let total = |part: usize| u64::from(start[part]) + turns * u64::from(room[part]);
@@ -564,7 +586,7 @@ impl SceneBuffers {
         let queue = gpu.queue();
         queue.write_buffer(&buffers[0], 0, bytemuck::cast_slice(&statics.arenas.nodes));
         queue.write_buffer(&buffers[1], 0, bytemuck::cast_slice(&statics.arenas.geometry));
-        queue.write_buffer(&buffers[2], 0, bytemuck::cast_slice(&statics.words));
+        queue.write_buffer(&buffers[2], 0, bytemuck::cast_slice(&statics.words.data));
         queue.write_buffer(&buffers[3], 0, bytemuck::cast_slice(&statics.texels));
         let constants = SceneConstants {
             two_level: world.accel.is_two_level(),
@@ -595,7 +617,7 @@ impl SceneBuffers {
         gpu.check()?;
         // Their bytes are on the device; where they lie is all that is asked from now on.
         scene.statics.arenas = TreeArenas::default();
-        scene.statics.words = Vec::new();
+        scene.statics.words = Words::default();
         scene.statics.texels = Vec::new();
         Ok(scene)
     }
@@ -611,11 +633,9 @@ impl SceneBuffers {
     /// The next frame's world takes its turn; the one of now becomes the previous one. False: there is no room, or things changed that are written
     /// once; then all must be made anew.
     pub(crate) fn advance(&mut self, gpu: &Gpu, world: &World, links: &Links<'_>) -> Result<bool> {
-        if self.base[0] == self.base[1] || !self.statics.fits(world) {
-            return Ok(false);
-        }
         let next = 1 - self.turn;
         let part = Dynamic::new(world, &self.statics, self.base[next], links)?;
+        let Some(part) = part.filter(|_| self.base[0] != self.base[1]) else { return Ok(false) };
         let fits = part.lengths().iter().zip(self.room).all(|(needed, room)| *needed <= room);
         let stack = world.accel.stack_entries().max(emitter_stack(world)) as u32;
         if !fits || stack > self.constants.stack {

@@ -213,12 +213,19 @@ impl Environment {
         (self.to_light, self.to_world)
     }
 
-    /// The image, how it covers the sphere, and its tables: cumulative rows, cumulative columns row by row, probabilities of cells.
+    /// The image, and how it covers the sphere.
     #[cfg(feature = "gpu")]
-    pub(crate) fn tables(&self) -> Option<(&Arc<Image>, EnvironmentMapping, [&[f32]; 3])> {
-        let Texels { image, mapping, distribution } = self.image.as_ref()?;
-        let Grid { rows, columns, cells, .. } = distribution;
-        Some((image, *mapping, [rows, columns, cells]))
+    pub(crate) fn image(&self) -> Option<(&Arc<Image>, EnvironmentMapping)> {
+        self.image.as_ref().map(|texels| (&texels.image, texels.mapping))
+    }
+
+    /// The image's tables: cumulative rows, cumulative columns row by row, probabilities of cells. Empty without one.
+    #[cfg(feature = "gpu")]
+    pub(crate) fn tables(&self) -> [&[f32]; 3] {
+        self.image.as_ref().map_or([&[]; 3], |texels| {
+            let Grid { rows, columns, cells, .. } = &texels.distribution;
+            [rows, columns, cells]
+        })
     }
 
     /// The numbers that [`Environment::sample`] turns into `direction`; `None` where its density is 0.

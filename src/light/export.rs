@@ -61,15 +61,15 @@ impl Lights {
             let mut record = [0; LIGHT];
             record[2..6].copy_from_slice(&names.color(light.radiance));
             record[6] = light.scale.to_bits();
-            let mut flags =
-                u32::from(light.two_sided) * TWO_SIDED | u32::from(light.is_hollow()) * HOLLOW;
+            let flag = |holds: bool, bit: u32| if holds { bit } else { 0 };
+            let mut flags = flag(light.two_sided, TWO_SIDED) | flag(light.is_hollow(), HOLLOW);
             if let Some(coverage) = light.coverage {
                 flags |= COVERAGE;
                 record[7..9].copy_from_slice(&names.scalar(coverage));
             }
             let textured = matches!(light.radiance, Color::Texture(_))
                 || matches!(light.coverage, Some(Scalar::Texture(..)));
-            flags |= u32::from(textured) * TEXTURED;
+            flags |= flag(textured, TEXTURED);
             record[1] = flags;
             // A light without extent has the measure of counting.
             record[9] = 1.0_f32.to_bits();
@@ -146,10 +146,10 @@ fn export_environment(
     record[5..14].copy_from_slice(&matrix(to_light));
     record[14..23].copy_from_slice(&matrix(to_world));
     record[28] = light;
-    if let Some((image, mapping, tables)) = environment.tables() {
+    if let Some((image, mapping)) = environment.image() {
         record[3] = names.image(image);
         record[4] = u32::from(mapping == EnvironmentMapping::EqualAreaOctahedral);
-        for (place, table) in tables.into_iter().enumerate() {
+        for (place, table) in environment.tables().into_iter().enumerate() {
             record[23 + place] = words.put(table.iter().map(|v| v.to_bits()));
         }
         record[26] = image.width;

@@ -101,6 +101,7 @@ fn light_sent(at: u32, uv: vec2f) -> vec3f {
 
 // Centre and radius of a sphere that is drawn by the cap it shows; a radius of -1 where points are drawn by area.
 fn light_cap(at: u32, place: vec3f) -> vec4f {
+    //#if QUADRICS
     if QUADRICS && words[at] == SPHERE {
         let center = vector_word(at + 10u);
         let radius = float_word(at + 22u);
@@ -110,6 +111,7 @@ fn light_cap(at: u32, place: vec3f) -> vec4f {
             return vec4f(center, radius);
         }
     }
+    //#endif
     return vec4f(0.0, 0.0, 0.0, -1.0);
 }
 
@@ -148,11 +150,16 @@ fn emitter_new(light: u32, position: vec3f, normal: vec3f, radiance: vec3f, kind
     return EmitterPoint(position, normal, radiance, kind, light, !all_zero(radiance));
 }
 
+fn sphere_kind(at: u32) -> u32 {
+    return select(ONE_SIDED, HOLLOW, (words[at + 1u] & LIGHT_HOLLOW) != 0u);
+}
+
+//#if QUADRICS
 fn emitter_on_sphere(at: u32, light: u32, position: vec3f, normal: vec3f) -> EmitterPoint {
     let radiance = light_sent(at, light_uv_on_sphere(at, normal));
-    let kind = select(ONE_SIDED, HOLLOW, (words[at + 1u] & LIGHT_HOLLOW) != 0u);
-    return emitter_new(light, position, normal * float_word(at + 23u), radiance, kind);
+    return emitter_new(light, position, normal * float_word(at + 23u), radiance, sphere_kind(at));
 }
+//#endif
 
 fn light_side(at: u32) -> u32 {
     return select(ONE_SIDED, TWO_SIDED, (words[at + 1u] & LIGHT_TWO_SIDED) != 0u);
@@ -161,45 +168,52 @@ fn light_side(at: u32) -> u32 {
 // The light's side of a light point; not valid where it emits nothing.
 fn light_emitter(w: u32, point: LightPoint) -> EmitterPoint {
     let at = light_at(w, point.light);
+    var position = vector_word(at + 10u);
+    var normal = vec3f(0.0);
+    var uv = vec2f(0.0);
+    var kind = light_side(at);
     switch words[at] {
         case TRIANGLE: {
             let b = sample_uniform_triangle(point.uv);
-            let position = vector_word(at + 10u) + vector_word(at + 13u) * b.y + vector_word(at + 16u) * b.z;
-            let uv = vec2f(float_word(at + 25u), float_word(at + 26u)) * b.x
+            position += vector_word(at + 13u) * b.y + vector_word(at + 16u) * b.z;
+            normal = vector_word(at + 19u);
+            uv = vec2f(float_word(at + 25u), float_word(at + 26u)) * b.x
                 + vec2f(float_word(at + 27u), float_word(at + 28u)) * b.y
                 + vec2f(float_word(at + 29u), float_word(at + 30u)) * b.z;
-            return emitter_new(point.light, position, vector_word(at + 19u), light_sent(at, uv), light_side(at));
         }
+        //#if QUADRICS
         case SPHERE: {
-            let normal = sample_uniform_sphere(point.uv);
-            return emitter_on_sphere(at, point.light, vector_word(at + 10u) + normal * float_word(at + 22u), normal);
+            let outward = sample_uniform_sphere(point.uv);
+            position += outward * float_word(at + 22u);
+            normal = outward * float_word(at + 23u);
+            uv = light_uv_on_sphere(at, outward);
+            kind = sphere_kind(at);
         }
         case DISK: {
             let d = sample_disk(point.uv);
-            let position = vector_word(at + 10u)
-                + (vector_word(at + 16u) * d.x + vector_word(at + 19u) * d.y) * float_word(at + 22u);
-            let radiance = light_sent(at, 0.5 * (d + vec2f(1.0)));
-            return emitter_new(point.light, position, vector_word(at + 13u), radiance, light_side(at));
+            position += (vector_word(at + 16u) * d.x + vector_word(at + 19u) * d.y) * float_word(at + 22u);
+            normal = vector_word(at + 13u);
+            uv = 0.5 * (d + vec2f(1.0));
         }
-        case POINT: {
-            return emitter_new(point.light, vector_word(at + 10u), vec3f(0.0), vector_word(at + 3u), POINT_LIKE);
+        //#endif
+        //#if ENVIRONMENTS
+        case ENVIRONMENT: {
+            let environment = words[at + 24u];
+            let direction = environment_sample(environment, point.uv);
+            return emitter_new(
+                point.light,
+                direction,
+                vec3f(0.0),
+                environment_radiance(environment, direction),
+                INFINITE,
+            );
         }
-        case SPOT: {
-            return emitter_new(point.light, vector_word(at + 10u), vec3f(0.0), vector_word(at + 3u), SPOT_LIKE);
-        }
-        case DISTANT: {
-            return emitter_new(point.light, vector_word(at + 10u), vec3f(0.0), vector_word(at + 3u), INFINITE);
-        }
-        default: {
-            if ENVIRONMENTS {
-                let environment = words[at + 24u];
-                let direction = environment_sample(environment, point.uv);
-                let radiance = environment_radiance(environment, direction);
-                return emitter_new(point.light, direction, vec3f(0.0), radiance, INFINITE);
-            }
-            return emitter_new(point.light, vec3f(0.0), vec3f(0.0), vec3f(0.0), INFINITE);
-        }
+        //#endif
+        case POINT: { kind = POINT_LIKE; }
+        case SPOT: { kind = SPOT_LIKE; }
+        default: { kind = INFINITE; }
     }
+    return emitter_new(point.light, position, normal, light_sent(at, uv), kind);
 }
 
 fn hollow_is_dark(at: u32, place: vec3f, cosine: f32) -> bool {
@@ -230,11 +244,11 @@ fn emitter_facing(w: u32, emitter: EmitterPoint, place: vec3f) -> Facing {
     switch emitter.kind {
         case ONE_SIDED: { dark = cosine <= 0.0; }
         case TWO_SIDED: { dark = cosine == 0.0; }
+        //#if QUADRICS
         case HOLLOW: {
-            if QUADRICS {
-                dark = hollow_is_dark(light_at(w, emitter.light), place, cosine);
-            }
+            dark = hollow_is_dark(light_at(w, emitter.light), place, cosine);
         }
+        //#endif
         default: {}
     }
     return Facing(direction, squared, cosine, !dark);
@@ -280,10 +294,12 @@ fn emitter_towards(w: u32, emitter: EmitterPoint, place: vec3f) -> Arrival {
 // What a unit of uv is worth in the light's measure.
 fn light_measure(w: u32, point: LightPoint) -> f32 {
     let at = light_at(w, point.light);
+    //#if ENVIRONMENTS
     if ENVIRONMENTS && words[at] == ENVIRONMENT {
         let environment = words[at + 24u];
         return 1.0 / environment_pdf(environment, environment_sample(environment, point.uv));
     }
+    //#endif
     return float_word(at + 9u);
 }
 
@@ -298,16 +314,19 @@ fn light_point_with(w: u32, light: u32, uv: vec2f) -> LightPoint {
 }
 
 fn light_point_towards(w: u32, light: u32, place: vec3f, u: vec2f) -> LightPoint {
+    //#if QUADRICS
     let cap = light_cap(light_at(w, light), place);
     if cap.w >= 0.0 {
         let normal = (sample_sphere_cone(place, cap.xyz, cap.w, u) - cap.xyz) / cap.w;
         return LightPoint(light, invert_uniform_sphere(select(vec3f(0.0, 0.0, 1.0), normal, vec3<bool>(is_finite3(normal)))));
     }
+    //#endif
     return light_point_with(w, light, u);
 }
 
 fn light_emitter_towards(w: u32, light: u32, place: vec3f, u: vec2f) -> EmitterPoint {
     let at = light_at(w, light);
+    //#if QUADRICS
     let cap = light_cap(at, place);
     if cap.w >= 0.0 {
         let position = sample_sphere_cone(place, cap.xyz, cap.w, u);
@@ -315,15 +334,18 @@ fn light_emitter_towards(w: u32, light: u32, place: vec3f, u: vec2f) -> EmitterP
         emitter.valid = emitter.valid && is_finite3(position);
         return emitter;
     }
+    //#endif
     return light_emitter(w, light_point_with(w, light, u));
 }
 
 fn light_density_from(w: u32, light: u32, place: vec3f, squared: f32, cos_theta: f32) -> f32 {
     let at = light_at(w, light);
+    //#if QUADRICS
     let cap = light_cap(at, place);
     if cap.w >= 0.0 {
         return uniform_cone_pdf(one_minus_cos_cone(place, cap.xyz, cap.w));
     }
+    //#endif
     return squared / (float_word(at + 9u) * abs(cos_theta));
 }
 
@@ -333,11 +355,13 @@ fn light_pdf_towards(w: u32, light: u32, place: vec3f, at: vec3f, cos_theta: f32
 }
 
 fn light_density_towards(w: u32, point: LightPoint, place: vec3f, geometry_term: f32) -> f32 {
+    //#if QUADRICS
     let cap = light_cap(light_at(w, point.light), place);
     if cap.w >= 0.0 {
         return choice_probability(w, point.light)
             * uniform_cone_pdf(one_minus_cos_cone(place, cap.xyz, cap.w)) * geometry_term;
     }
+    //#endif
     return uniform_density(w, point);
 }
 
@@ -368,11 +392,13 @@ fn light_sample_towards(w: u32, light: u32, place: vec3f, u: vec2f) -> Incident 
     incident.delta = true;
     incident.valid = arrival.valid;
     let at = light_at(w, light);
+    //#if ENVIRONMENTS
     if ENVIRONMENTS && words[at] == ENVIRONMENT {
         incident.pdf = environment_pdf(words[at + 24u], arrival.direction);
         incident.delta = false;
         incident.valid = incident.pdf > 0.0;
     }
+    //#endif
     return incident;
 }
 
@@ -399,6 +425,7 @@ fn shadow_end(w: u32, emitter: EmitterPoint, place: vec3f) -> vec4f {
 // The light point at a hit of a surface light.
 fn light_point_at(w: u32, light: u32, hit: Hit, position: vec3f) -> LightPoint {
     let at = light_at(w, light);
+    //#if QUADRICS
     if QUADRICS && words[at] != TRIANGLE {
         let d = (position - vector_word(at + 10u)) / float_word(at + 22u);
         if words[at] == SPHERE {
@@ -406,6 +433,7 @@ fn light_point_at(w: u32, light: u32, hit: Hit, position: vec3f) -> LightPoint {
         }
         return LightPoint(light, invert_disk(vec2f(dot3(d, vector_word(at + 16u)), dot3(d, vector_word(at + 19u)))));
     }
+    //#endif
     let b1 = max(hit.u, 0.0);
     let b2 = max(hit.v, 0.0);
     return LightPoint(light, invert_uniform_triangle(vec3f(max(1.0 - b1 - b2, 0.0), b1, b2)));
@@ -642,10 +670,12 @@ fn environment_invert(environment: u32, direction: vec3f) -> vec3f {
 
 fn escaped_radiance(w: u32, direction: vec3f) -> vec3f {
     var sum = vec3f(0.0);
+    //#if ENVIRONMENTS
     if ENVIRONMENTS {
         for (var i = 0u; i < inputs.worlds[w].environment_count; i++) {
             sum += environment_radiance(environment_number(w, i), direction);
         }
     }
+    //#endif
     return sum;
 }

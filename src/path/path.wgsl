@@ -109,6 +109,7 @@ fn walk(
         count(BOUNCE_RAYS, 1u);
         let next = closest_hit(NOW, Ray(surface_origin(surface, direction), direction, FAR));
         if next.primitive == MISS {
+            //#if ENVIRONMENTS
             if ENVIRONMENTS && counted {
                 for (var i = 0u; i < inputs.worlds[NOW].environment_count; i++) {
                     let environment = environment_number(NOW, i);
@@ -117,6 +118,7 @@ fn walk(
                     radiance += throughput * environment_radiance(environment, direction) * share;
                 }
             }
+            //#endif
             break;
         }
         let shape = shape_of(NOW, next);

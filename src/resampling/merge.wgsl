@@ -79,11 +79,13 @@ fn merge(family: u32, count: u32, r: ptr<function, Reservoir>, random: ptr<funct
         if input.confidence <= 0.0 {
             continue;
         }
+        //#if FAMILY=4|5
         if is_pairwise && has_own {
             let there = target_from(own.sample, i);
             any_other = any_other || there > 0.0;
             canonical_mis += pairwise_canonical_part(pairs, input.confidence, there, own_target);
         }
+        //#endif
         if !(input.weight > 0.0) {
             continue;
         }
@@ -99,7 +101,9 @@ fn merge(family: u32, count: u32, r: ptr<function, Reservoir>, random: ptr<funct
         var mis = input.confidence / total;
         if is_pairwise {
             mis = pairwise_other(pairs, input.confidence, there, here);
-        } else if family == FAMILY_BALANCE {
+        }
+        //#if FAMILY=3
+        if family == FAMILY_BALANCE {
             var rivals = 0.0;
             for (var rival = 1u; rival <= count; rival++) {
                 let confidence = input_finished(rival).confidence;
@@ -113,6 +117,7 @@ fn merge(family: u32, count: u32, r: ptr<function, Reservoir>, random: ptr<funct
                 mis = 1.0 / (1.0 + rivals);
             }
         }
+        //#endif
         let contribution = mis * input.weight * candidate.jacobian;
         let weight = contribution * here;
         if weight != 0.0 {
@@ -127,6 +132,7 @@ fn merge(family: u32, count: u32, r: ptr<function, Reservoir>, random: ptr<funct
     }
 
     if has_own {
+        //#if FAMILY=3
         if family == FAMILY_BALANCE && other_confidence > 0.0 {
             var rivals = 0.0;
             for (var rival = 1u; rival <= count; rival++) {
@@ -139,6 +145,7 @@ fn merge(family: u32, count: u32, r: ptr<function, Reservoir>, random: ptr<funct
             }
             canonical_mis = 1.0 / (1.0 + rivals);
         }
+        //#endif
         if !any_other && !by_count {
             canonical_mis = 1.0;
         }
@@ -170,6 +177,7 @@ fn merge(family: u32, count: u32, r: ptr<function, Reservoir>, random: ptr<funct
         selected_target = target_of(chosen.integrand);
     }
     var scale = 1.0;
+    //#if FAMILY=1|2
     if (family == FAMILY_INVERSE_COUNT || family == FAMILY_CONTRIBUTION) && other_confidence > 0.0 {
         var of_source = selected_target;
         if chosen.valid {
@@ -200,6 +208,7 @@ fn merge(family: u32, count: u32, r: ptr<function, Reservoir>, random: ptr<funct
         }
         scale = total / select(sum, reach, family == FAMILY_INVERSE_COUNT);
     }
+    //#endif
     let weight = contribution_weight((*r).weight_sum, selected_target, scale);
     if weight == 0.0 {
         return nothing;

@@ -32,7 +32,11 @@ struct Part {
 
 struct Bsdf {
     mixed: bool,
+    //#if HAS_MIX
     parts: array<Part, 2>,
+    //#else
+    parts: array<Part, 1>,
+    //#endif
     weights: vec2f,
     probabilities: vec2f,
 }
@@ -53,10 +57,6 @@ struct BsdfSample {
 }
 
 const NO_SCATTERING: Evaluation = Evaluation(vec3f(0.0), 0.0);
-
-fn has_kind(kind: u32) -> bool {
-    return ((MATERIALS >> kind) & 1u) != 0u;
-}
 
 fn mirrored(side: f32, v: vec3f) -> vec3f {
     return vec3f(v.x, v.y, v.z * copysign(1.0, side));
@@ -181,18 +181,37 @@ fn rough_reflectance(part: Part, mu: f32) -> f32 {
 
 // --- Materials to lobes
 
-fn albedo_at(at: u32, uv: vec2f) -> vec3f {
-    return clamp(color_at(at, uv), vec3f(0.0), vec3f(1.0));
+// A material's words: its kind, the number of its parameters, eight words of its own, four a parameter. A parameter is NONE and three numbers, or a
+// texture's program and a channel (RGB: all three). They are evaluated in one loop, so that the interpreter of textures stands here once.
+const MATERIAL_HEAD: u32 = 10u;
+const PARAMETERS: u32 = 6u;
+const RGB: u32 = 5u;
+
+fn parameter_at(at: u32, uv: vec2f) -> vec3f {
+    //#if TEXTURES
+    if TEXTURES && words[at] != NONE {
+        let rgba = texture_at(words[at], uv);
+        if words[at + 1u] == RGB {
+            return rgba.xyz;
+        }
+        return vec3f(channel_of(rgba, words[at + 1u]));
+    }
+    //#endif
+    return vector_word(at + 1u);
 }
 
-fn share_at(at: u32, uv: vec2f) -> f32 {
-    return clamp(scalar_at(at, uv), 0.0, 1.0);
+fn albedo_of(color: vec3f) -> vec3f {
+    return clamp(color, vec3f(0.0), vec3f(1.0));
 }
 
-// Roughness: two numbers and whether alpha is the root.
-fn alpha_at(at: u32, uv: vec2f) -> vec2f {
-    let raw = max(vec2f(scalar_at(at, uv), scalar_at(at + 2u, uv)), vec2f(0.0));
-    if words[at + 4u] != 0u {
+fn share_of(number: vec3f) -> f32 {
+    return clamp(number.x, 0.0, 1.0);
+}
+
+// Both roughnesses; `remap`: alpha is the root.
+fn alpha_of(u: vec3f, v: vec3f, remap: u32) -> vec2f {
+    let raw = max(vec2f(u.x, v.x), vec2f(0.0));
+    if remap != 0u {
         return sqrt(raw);
     }
     return raw;
@@ -208,108 +227,114 @@ fn part_at(material: u32, uv: vec2f) -> Part {
     part.kind = words[material];
     part.smooth_ = true;
     part.two_sided = true;
-    let at = material + 1u;
+    // Words of the kind's own.
+    let own = material + 2u;
+    var p: array<vec3f, PARAMETERS>;
+    for (var i = 0u; i < words[material + 1u]; i++) {
+        p[i] = parameter_at(material + MATERIAL_HEAD + 4u * i, uv);
+    }
     switch part.kind {
         case DIFFUSE: {
             // a: albedo
-            part.a = albedo_at(at, uv);
+            part.a = albedo_of(p[0]);
         }
+        //#if HAS_DIFFUSE_TRANSMISSION
         case DIFFUSE_TRANSMISSION: {
             // a, b: albedos; p: probability of reflection
-            if has_kind(DIFFUSE_TRANSMISSION) {
-                part.a = albedo_at(at, uv);
-                part.b = min(albedo_at(at + 4u, uv), vec3f(1.0) - part.a);
-                let r = max3(part.a);
-                let t = max3(part.b);
-                part.p = 1.0;
-                if r + t > 0.0 {
-                    part.p = r / (r + t);
-                }
+            part.a = albedo_of(p[0]);
+            part.b = min(albedo_of(p[1]), vec3f(1.0) - part.a);
+            let r = max3(part.a);
+            let t = max3(part.b);
+            part.p = 1.0;
+            if r + t > 0.0 {
+                part.p = r / (r + t);
             }
         }
+        //#endif
+        //#if HAS_CONDUCTOR
         case CONDUCTOR: {
             // a, b: index of refraction
-            if has_kind(CONDUCTOR) {
-                if words[at] == 0u {
-                    part.a = max(color_at(at + 1u, uv), vec3f(0.0));
-                    part.b = max(color_at(at + 5u, uv), vec3f(0.0));
-                } else {
-                    let r = clamp(albedo_at(at + 1u, uv), vec3f(0.0), vec3f(1.0 - 0.5 * EPSILON));
-                    part.a = vec3f(1.0);
-                    part.b = 2.0 * sqrt(r / (vec3f(1.0) - r));
-                }
-                with_alpha(&part, alpha_at(at + 9u, uv));
+            if words[own] == 0u {
+                part.a = max(p[0], vec3f(0.0));
+                part.b = max(p[1], vec3f(0.0));
+            } else {
+                let r = clamp(albedo_of(p[0]), vec3f(0.0), vec3f(1.0 - 0.5 * EPSILON));
+                part.a = vec3f(1.0);
+                part.b = 2.0 * sqrt(r / (vec3f(1.0) - r));
             }
+            with_alpha(&part, alpha_of(p[2], p[3], words[own + 1u]));
         }
+        //#endif
+        //#if HAS_DIELECTRIC
         case DIELECTRIC: {
-            if has_kind(DIELECTRIC) {
-                part.eta = float_word(at);
-                with_alpha(&part, alpha_at(at + 1u, uv));
-                part.smooth_ = part.smooth_ || abs(part.eta - 1.0) < 1e-3;
-            }
+            part.eta = float_word(own);
+            with_alpha(&part, alpha_of(p[0], p[1], words[own + 1u]));
+            part.smooth_ = part.smooth_ || abs(part.eta - 1.0) < 1e-3;
         }
+        //#endif
+        //#if HAS_THIN_DIELECTRIC
         case THIN_DIELECTRIC: {
-            part.eta = float_word(at);
+            part.eta = float_word(own);
         }
+        //#endif
+        //#if HAS_COATED
         case COATED: {
             // a: the base; p: its strength inside
-            if has_kind(COATED) {
-                let reflectance = albedo_at(at, uv);
-                part.eta = max(float_word(at + 4u), 1.0);
-                with_alpha(&part, alpha_at(at + 5u, uv));
-                // (rows of the lower index, of the higher, first row's number, weight of the higher)
-                let mean_alpha = select(sqrt(part.alpha.x * part.alpha.y), 0.0, part.smooth_);
-                let x = sqrt(sqrt(min(mean_alpha, 1.0))) * f32(TABLE_NODES - 1u);
-                let cell = min(u32(x), TABLE_NODES - 2u);
-                let a = x - f32(cell);
-                let first = words[at + 12u];
-                let row = (cell - min(cell, first)) * (TABLE_NODES + 1u);
-                let next = row + TABLE_NODES + 1u;
-                let lower = words[at + 10u];
-                let higher = words[at + 11u];
-                let b = float_word(at + 13u);
-                part.rows = vec4<u32>(lower + row, lower + next, higher + row, higher + next);
-                part.weights = vec4f((1.0 - a) * (1.0 - b), a * (1.0 - b), (1.0 - a) * b, a * b);
-                var mean = 0.0;
-                for (var i = 0u; i < 4u; i++) {
-                    mean += part.weights[i] * float_word(part.rows[i] + TABLE_NODES);
-                }
-                let passed = 1.0 - mean;
-                let eta2 = part.eta * part.eta;
-                let inside = 1.0 - passed / eta2;
-                part.a = reflectance / (eta2 * (vec3f(1.0) - reflectance * inside));
-                part.p = max3(part.a) * passed;
+            part.eta = max(float_word(own), 1.0);
+            with_alpha(&part, alpha_of(p[1], p[2], words[own + 1u]));
+            // Of the table: rows of the lower index, of the higher, the first row's number, the weight of the higher index.
+            let mean_alpha = select(sqrt(part.alpha.x * part.alpha.y), 0.0, part.smooth_);
+            let x = sqrt(sqrt(min(mean_alpha, 1.0))) * f32(TABLE_NODES - 1u);
+            let cell = min(u32(x), TABLE_NODES - 2u);
+            let a = x - f32(cell);
+            let lower = words[own + 2u];
+            let higher = words[own + 3u];
+            let row = (cell - min(cell, words[own + 4u])) * (TABLE_NODES + 1u);
+            let next = row + TABLE_NODES + 1u;
+            let b = float_word(own + 5u);
+            part.rows = vec4<u32>(lower + row, lower + next, higher + row, higher + next);
+            part.weights = vec4f((1.0 - a) * (1.0 - b), a * (1.0 - b), (1.0 - a) * b, a * b);
+            var mean = 0.0;
+            for (var i = 0u; i < 4u; i++) {
+                mean += part.weights[i] * float_word(part.rows[i] + TABLE_NODES);
             }
+            let reflectance = albedo_of(p[0]);
+            let passed = 1.0 - mean;
+            let eta2 = part.eta * part.eta;
+            let inside = 1.0 - passed / eta2;
+            part.a = reflectance / (eta2 * (vec3f(1.0) - reflectance * inside));
+            part.p = max3(part.a) * passed;
         }
+        //#endif
         default: {
+            //#if HAS_METALLIC
             // a: reflectance; b: edge; c: diffuse; s: strengths; (p, q): passed and its edge; weights: transmission
-            if has_kind(METALLIC) {
-                let base = albedo_at(at, uv);
-                let metal = share_at(at + 4u, uv);
-                let roughness = share_at(at + 6u, uv);
-                let ior = float_word(at + 8u);
-                let specular = share_at(at + 9u, uv);
-                let tint = max(color_at(at + 11u, uv), vec3f(0.0));
-                let transmission = share_at(at + 15u, uv);
-                part.two_sided = words[at + 17u] != 0u;
-                let n = (ior - 1.0) / (ior + 1.0);
-                let f0 = min(n * n * tint, vec3f(1.0)) * specular;
-                let dielectric = 1.0 - metal;
-                part.a = metal * base + dielectric * f0;
-                part.b = metal * (vec3f(1.0) - base) + dielectric * (vec3f(specular) - f0);
-                part.p = 1.0 - max3(f0);
-                part.q = specular - max3(f0);
-                let mean = part.p - part.q * (1.0 / 21.0);
-                let below = dielectric * (1.0 - transmission) * base;
-                part.c = vec3f(0.0);
-                if mean > 0.0 {
-                    part.c = 0.996 * below / mean;
-                }
-                let through = dielectric * transmission * base;
-                part.weights = vec4f(through, 0.0);
-                part.s = vec4f(max3(part.a), max3(part.b), max3(part.c) * mean, max3(through));
-                with_alpha(&part, vec2f(roughness * roughness));
+            let base = albedo_of(p[0]);
+            let metal = share_of(p[1]);
+            let roughness = share_of(p[2]);
+            let specular = share_of(p[3]);
+            let tint = max(p[4], vec3f(0.0));
+            let transmission = share_of(p[5]);
+            let ior = float_word(own);
+            part.two_sided = words[own + 1u] != 0u;
+            let n = (ior - 1.0) / (ior + 1.0);
+            let f0 = min(n * n * tint, vec3f(1.0)) * specular;
+            let dielectric = 1.0 - metal;
+            part.a = metal * base + dielectric * f0;
+            part.b = metal * (vec3f(1.0) - base) + dielectric * (vec3f(specular) - f0);
+            part.p = 1.0 - max3(f0);
+            part.q = specular - max3(f0);
+            let mean = part.p - part.q * (1.0 / 21.0);
+            let below = dielectric * (1.0 - transmission) * base;
+            part.c = vec3f(0.0);
+            if mean > 0.0 {
+                part.c = 0.996 * below / mean;
             }
+            let through = dielectric * transmission * base;
+            part.weights = vec4f(through, 0.0);
+            part.s = vec4f(max3(part.a), max3(part.b), max3(part.c) * mean, max3(through));
+            with_alpha(&part, vec2f(roughness * roughness));
+            //#endif
         }
     }
     return part;
@@ -317,15 +342,16 @@ fn part_at(material: u32, uv: vec2f) -> Part {
 
 fn material_at(material: u32, uv: vec2f) -> Bsdf {
     var bsdf: Bsdf;
-    bsdf.mixed = false;
     bsdf.weights = vec2f(1.0, 0.0);
     bsdf.probabilities = vec2f(1.0, 0.0);
-    if has_kind(MIX) && words[material] == MIX {
-        let amount = clamp(scalar_at(material + 3u, uv), 0.0, 1.0);
-        bsdf.mixed = true;
-        for (var i = 0u; i < 2u; i++) {
-            bsdf.parts[i] = part_at(words[material + 1u + i], uv);
-        }
+    //#if HAS_MIX
+    bsdf.mixed = words[material] == MIX;
+    for (var i = 0u; i < select(1u, 2u, bsdf.mixed); i++) {
+        // A mix has its parts' places.
+        bsdf.parts[i] = part_at(select(material, words[material + 2u + i], bsdf.mixed), uv);
+    }
+    if bsdf.mixed {
+        let amount = share_of(parameter_at(material + MATERIAL_HEAD, uv));
         bsdf.weights = vec2f(1.0 - amount, amount);
         bsdf.probabilities = bsdf.weights;
         let first = part_is_black(bsdf.parts[0]);
@@ -335,9 +361,11 @@ fn material_at(material: u32, uv: vec2f) -> Bsdf {
         } else if second && !first && amount < 1.0 {
             bsdf.probabilities = vec2f(1.0, 0.0);
         }
-        return bsdf;
     }
+    //#else
+    bsdf.mixed = false;
     bsdf.parts[0] = part_at(material, uv);
+    //#endif
     return bsdf;
 }
 
@@ -353,9 +381,15 @@ fn part_count(kind: u32) -> u32 {
 fn part_is_delta(part: Part, lobe: u32) -> bool {
     switch part.kind {
         case CONDUCTOR, DIELECTRIC: { return part.smooth_; }
+        //#if HAS_THIN_DIELECTRIC
         case THIN_DIELECTRIC: { return true; }
+        //#endif
+        //#if HAS_COATED
         case COATED: { return lobe == 0u && part.smooth_; }
+        //#endif
+        //#if HAS_METALLIC
         case METALLIC: { return lobe != 1u && part.smooth_; }
+        //#endif
         default: { return false; }
     }
 }
@@ -363,10 +397,18 @@ fn part_is_delta(part: Part, lobe: u32) -> bool {
 fn part_is_black(part: Part) -> bool {
     switch part.kind {
         case DIFFUSE: { return all_zero(part.a); }
+        //#if HAS_DIFFUSE_TRANSMISSION
         case DIFFUSE_TRANSMISSION: { return all_zero(part.a) && all_zero(part.b); }
+        //#endif
+        //#if HAS_CONDUCTOR
         case CONDUCTOR: { return all_zero(part.a - vec3f(1.0)) && all_zero(part.b); }
+        //#endif
+        //#if HAS_COATED
         case COATED: { return all_zero(part.a) && part.eta == 1.0; }
+        //#endif
+        //#if HAS_METALLIC
         case METALLIC: { return part.s.x == 0.0 && part.s.y == 0.0 && part.s.z == 0.0 && part.s.w == 0.0; }
+        //#endif
         default: { return false; }
     }
 }
@@ -374,8 +416,12 @@ fn part_is_black(part: Part) -> bool {
 fn part_has_non_delta(part: Part) -> bool {
     switch part.kind {
         case CONDUCTOR, DIELECTRIC: { return !part.smooth_; }
+        //#if HAS_THIN_DIELECTRIC
         case THIN_DIELECTRIC: { return false; }
+        //#endif
+        //#if HAS_METALLIC
         case METALLIC: { return !part.smooth_ || part.s.z > 0.0; }
+        //#endif
         default: { return true; }
     }
 }
@@ -448,21 +494,31 @@ fn part_probability(part: Part, lobe: u32, wo: vec3f) -> f32 {
     var first = 1.0;
     switch part.kind {
         case DIFFUSE, CONDUCTOR: { return select(0.0, 1.0, lobe == 0u); }
+        //#if HAS_DIFFUSE_TRANSMISSION
         case DIFFUSE_TRANSMISSION: { first = part.p; }
+        //#endif
+        //#if HAS_DIELECTRIC
         case DIELECTRIC: {
-            if has_kind(DIELECTRIC) {
-                first = reflection_probability(part, wo);
-            }
+            //#if HAS_DIELECTRIC
+            first = reflection_probability(part, wo);
+            //#endif
         }
+        //#endif
+        //#if HAS_THIN_DIELECTRIC
         case THIN_DIELECTRIC: { first = pane_reflectance(part, wo); }
+        //#endif
+        //#if HAS_COATED
         case COATED: {
-            if has_kind(COATED) {
-                first = coat_probability(part, coat_reflected(part, abs(wo.z)));
-            }
+            //#if HAS_COATED
+            first = coat_probability(part, coat_reflected(part, abs(wo.z)));
+            //#endif
         }
+        //#endif
         default: {
+            //#if HAS_METALLIC
             let p = metallic_probabilities(part, wo);
             return select(select(0.0, p.z, lobe == 2u), select(p.x, p.y, lobe == 1u), lobe < 2u);
+            //#endif
         }
     }
     return select(1.0 - first, first, lobe == 0u);
@@ -483,6 +539,7 @@ fn part_evaluate(part: Part, wo: vec3f, wi: vec3f, lobes: u32) -> Evaluation {
             }
             return NO_SCATTERING;
         }
+        //#if HAS_DIFFUSE_TRANSMISSION
         case DIFFUSE_TRANSMISSION: {
             if side == 0.0 || !has_lobe(lobes, select(1u, 0u, side > 0.0)) {
                 return NO_SCATTERING;
@@ -491,8 +548,10 @@ fn part_evaluate(part: Part, wo: vec3f, wi: vec3f, lobes: u32) -> Evaluation {
             let albedo = select(part.b, part.a, side > 0.0);
             return Evaluation(albedo * cosine, select(1.0 - part.p, part.p, side > 0.0) * cosine);
         }
+        //#endif
+        //#if HAS_CONDUCTOR
         case CONDUCTOR: {
-            if !has_kind(CONDUCTOR) || part.smooth_ || !(side > 0.0 && has_lobe(lobes, 0u)) {
+            if part.smooth_ || !(side > 0.0 && has_lobe(lobes, 0u)) {
                 return NO_SCATTERING;
             }
             let o = mirrored(wo.z, wo);
@@ -505,8 +564,10 @@ fn part_evaluate(part: Part, wo: vec3f, wi: vec3f, lobes: u32) -> Evaluation {
             let f = fresnel_conductor(min(dot3(o, h), 1.0), part.a, part.b);
             return Evaluation(f * dv.y, dv.x);
         }
+        //#endif
+        //#if HAS_DIELECTRIC
         case DIELECTRIC: {
-            if !has_kind(DIELECTRIC) || part.smooth_ {
+            if part.smooth_ {
                 return NO_SCATTERING;
             }
             let eta = relative_index(part, wo);
@@ -546,8 +607,10 @@ fn part_evaluate(part: Part, wo: vec3f, wi: vec3f, lobes: u32) -> Evaluation {
             }
             return NO_SCATTERING;
         }
+        //#endif
+        //#if HAS_COATED
         case COATED: {
-            if !has_kind(COATED) || !(side > 0.0 && (lobes & 3u) != 0u) {
+            if !(side > 0.0 && (lobes & 3u) != 0u) {
                 return NO_SCATTERING;
             }
             let o = mirrored(wo.z, wo);
@@ -571,8 +634,10 @@ fn part_evaluate(part: Part, wo: vec3f, wi: vec3f, lobes: u32) -> Evaluation {
             }
             return sum;
         }
+        //#endif
+        //#if HAS_METALLIC
         case METALLIC: {
-            if !has_kind(METALLIC) || metallic_hidden(part, wo) || side == 0.0 || (lobes & 7u) == 0u {
+            if metallic_hidden(part, wo) || side == 0.0 || (lobes & 7u) == 0u {
                 return NO_SCATTERING;
             }
             let probabilities = metallic_probabilities(part, wo);
@@ -607,6 +672,7 @@ fn part_evaluate(part: Part, wo: vec3f, wi: vec3f, lobes: u32) -> Evaluation {
             }
             return sum;
         }
+        //#endif
         default: {
             return NO_SCATTERING;
         }
@@ -667,10 +733,13 @@ fn part_delta(part: Part, lobe: u32, wo: vec3f) -> BsdfSample {
     sample.eta = 1.0;
     sample.wi = vec3f(-wo.x, -wo.y, wo.z);
     switch part.kind {
+        //#if HAS_CONDUCTOR
         case CONDUCTOR: {
             sample.value = fresnel_conductor(abs(wo.z), part.a, part.b);
             sample.pdf = 1.0;
         }
+        //#endif
+        //#if HAS_DIELECTRIC
         case DIELECTRIC: {
             let f = reflection_probability(part, wo);
             sample.value = vec3f(f);
@@ -689,6 +758,8 @@ fn part_delta(part: Part, lobe: u32, wo: vec3f) -> BsdfSample {
                 sample.eta = eta;
             }
         }
+        //#endif
+        //#if HAS_THIN_DIELECTRIC
         case THIN_DIELECTRIC: {
             let pdf = part_probability(part, lobe, wo);
             sample.value = vec3f(pdf);
@@ -697,12 +768,16 @@ fn part_delta(part: Part, lobe: u32, wo: vec3f) -> BsdfSample {
                 sample.wi = -wo;
             }
         }
+        //#endif
+        //#if HAS_COATED
         case COATED: {
             let f = coat_reflected(part, abs(wo.z));
             sample.value = vec3f(f);
             sample.pdf = coat_probability(part, f);
         }
+        //#endif
         default: {
+            //#if HAS_METALLIC
             if metallic_hidden(part, wo) {
                 sample.valid = false;
                 return sample;
@@ -717,6 +792,7 @@ fn part_delta(part: Part, lobe: u32, wo: vec3f) -> BsdfSample {
                 sample.value = part.weights.xyz * metallic_passed(part, cosine);
                 sample.pdf = probabilities.z;
             }
+            //#endif
         }
     }
     return sample;
@@ -725,25 +801,27 @@ fn part_delta(part: Part, lobe: u32, wo: vec3f) -> BsdfSample {
 // --- The whole material
 
 fn bsdf_is_black(bsdf: Bsdf) -> bool {
-    if !bsdf.mixed {
-        return part_is_black(bsdf.parts[0]);
-    }
+    //#if !HAS_MIX
+    return part_is_black(bsdf.parts[0]);
+    //#else
     return (bsdf.weights.x == 0.0 || part_is_black(bsdf.parts[0]))
         && (bsdf.weights.y == 0.0 || part_is_black(bsdf.parts[1]));
+    //#endif
 }
 
 fn bsdf_has_non_delta(bsdf: Bsdf) -> bool {
-    if !bsdf.mixed {
-        return part_has_non_delta(bsdf.parts[0]);
-    }
+    //#if !HAS_MIX
+    return part_has_non_delta(bsdf.parts[0]);
+    //#else
     return (bsdf.weights.x > 0.0 && part_has_non_delta(bsdf.parts[0]))
         || (bsdf.weights.y > 0.0 && part_has_non_delta(bsdf.parts[1]));
+    //#endif
 }
 
 fn bsdf_evaluate(bsdf: Bsdf, wo: vec3f, wi: vec3f) -> Evaluation {
-    if !has_kind(MIX) || !bsdf.mixed {
-        return part_evaluate(bsdf.parts[0], wo, wi, ALL_LOBES);
-    }
+    //#if !HAS_MIX
+    return part_evaluate(bsdf.parts[0], wo, wi, ALL_LOBES);
+    //#else
     var sum = NO_SCATTERING;
     for (var i = 0u; i < 2u; i++) {
         if bsdf.weights[i] > 0.0 {
@@ -753,20 +831,32 @@ fn bsdf_evaluate(bsdf: Bsdf, wo: vec3f, wi: vec3f) -> Evaluation {
         }
     }
     return sum;
+    //#endif
 }
 
 // The lobe that a word chooses: its part in x, its number there in y; NONE where no lobe has light.
 fn choose_lobe(bsdf: Bsdf, wo: vec3f, word: u32) -> vec2<u32> {
+    var below = 0.0;
+    var last = vec2<u32>(NONE, 0u);
+    //#if HAS_MIX
     let parts = select(1u, 2u, bsdf.mixed);
     if parts == 1u && part_count(bsdf.parts[0].kind) == 1u {
         return vec2<u32>(0u, 0u);
     }
-    var below = 0.0;
-    var last = vec2<u32>(NONE, 0u);
     for (var i = 0u; i < parts; i++) {
-        let lobes = part_count(bsdf.parts[i].kind);
+        let part = bsdf.parts[i];
+        let share = bsdf.probabilities[i];
+    //#else
+        let i = 0u;
+        let part = bsdf.parts[0];
+        let share = 1.0;
+        if part_count(part.kind) == 1u {
+            return vec2<u32>(0u, 0u);
+        }
+    //#endif
+        let lobes = part_count(part.kind);
         for (var lobe = 0u; lobe < lobes; lobe++) {
-            let p = bsdf.probabilities[i] * part_probability(bsdf.parts[i], lobe, wo);
+            let p = share * part_probability(part, lobe, wo);
             if p > 0.0 {
                 below += p;
                 last = vec2<u32>(i, lobe);
@@ -776,7 +866,9 @@ fn choose_lobe(bsdf: Bsdf, wo: vec3f, word: u32) -> vec2<u32> {
                 }
             }
         }
+    //#if HAS_MIX
     }
+    //#endif
     return last;
 }
 
@@ -793,13 +885,15 @@ fn bsdf_sample(bsdf: Bsdf, wo: vec3f, draw: vec4<u32>) -> BsdfSample {
     var part = bsdf.parts[0];
     var weight = 1.0;
     var probability = 1.0;
-    if has_kind(MIX) && bsdf.mixed {
+    //#if HAS_MIX
+    if bsdf.mixed {
         if chosen.x == 1u {
             part = bsdf.parts[1];
         }
         weight = bsdf.weights[chosen.x];
         probability = bsdf.probabilities[chosen.x];
     }
+    //#endif
     if part_is_delta(part, chosen.y) {
         var sample = part_delta(part, chosen.y, wo);
         sample.value *= weight;

@@ -16,11 +16,15 @@ struct SurfacePoint {
 fn surface_at(w: u32, hit: Hit, point: HitPoint) -> SurfacePoint {
     let shape = inputs.worlds[w].shapes + point.shape * SHAPE;
     var frame: Frame;
+    //#if ANISOTROPIC
     if ANISOTROPIC && (words[shape + 3u] & SHAPE_ANISOTROPIC) != 0u {
         frame = frame_from_normal_and_tangent(point.shading_normal, tangent_at(w, hit, point.geometric_normal));
     } else {
         frame = frame_from_normal(point.shading_normal);
     }
+    //#else
+    frame = frame_from_normal(point.shading_normal);
+    //#endif
     return SurfacePoint(
         point.position,
         point.error,

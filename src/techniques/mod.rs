@@ -46,9 +46,11 @@ pub struct Twin {
     /// The entry point, with workgroups of 8 × 8 over pixels, of 256 over items, of a tile over tiles.
     pub entry: &'static str,
     /// What it is made of, beside the modules that all kernels share.
-    pub modules: &'static [&'static str],
-    /// Values of its pipeline-overridable constants; flags are 0 and 1.
+    pub modules: Vec<&'static str>,
+    /// Values of its pipeline-overridable constants; truths are 0 and 1. `//#if` may ask for them.
     pub constants: Vec<(&'static str, f64)>,
+    /// What else `//#if` may ask for.
+    pub flags: Vec<(&'static str, f64)>,
 }
 
 /// A line of the [`REGISTRY`].

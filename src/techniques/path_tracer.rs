@@ -258,7 +258,8 @@ impl Technique for PathTracer {
         };
         Some(Twin {
             entry: "paths",
-            modules: &[include_str!("path_tracer.wgsl")],
+            modules: vec![include_str!("path_tracer.wgsl")],
+            flags: Vec::new(),
             constants: vec![
                 ("SAMPLED", f64::from(sampled)),
                 ("ROULETTE_AFTER", f64::from(self.roulette_after)),

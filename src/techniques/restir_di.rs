@@ -513,13 +513,6 @@ impl Technique for RestirDi {
 
 impl RestirDi {
     fn kernel_twin(&self, kernel: u32, plan: &Plan) -> Twin {
-        const MODULES: &[&str] = &[
-            RESAMPLING_WGSL,
-            VISIBILITY_WGSL,
-            DIRECT_WGSL,
-            MERGE_WGSL,
-            include_str!("restir_di/restir_di.wgsl"),
-        ];
         let flag = |b: bool| f64::from(u8::from(b));
         let id = |name: &str| plan.buffer(name).map_or(0.0, |id| id.0 as f64);
         let policy = match self.visibility {
@@ -606,7 +599,38 @@ impl RestirDi {
                 "spatial"
             }
         };
-        Twin { entry, modules: MODULES, constants }
+        let temporal = kernel == kernel::TEMPORAL;
+        let spatial = kernel >= kernel::SPATIAL;
+        let control = self.visibility == Visibility::WisControlVariate;
+        let still = plan.constant("still") != 0;
+        let decoupled = self.decoupled && spatial && kernel - kernel::SPATIAL + 1 == self.rounds;
+        let traced = match self.visibility {
+            Visibility::Wis | Visibility::WisControlVariate => true,
+            Visibility::InTarget => false,
+            _ => decoupled,
+        };
+        let flags = vec![
+            ("KERNEL_TILES", flag(kernel == kernel::TILES)),
+            ("KERNEL_RIS", flag(kernel == kernel::RIS)),
+            ("KERNEL_INITIAL", flag(kernel == kernel::INITIAL)),
+            ("KERNEL_TEMPORAL", flag(temporal)),
+            ("KERNEL_BOILING", flag(kernel == kernel::BOILING)),
+            ("KERNEL_MUTATE", flag(kernel == kernel::MUTATE)),
+            ("KERNEL_SPATIAL", flag(spatial)),
+            ("KERNEL_SHADE", flag(kernel == kernel::SHADE)),
+            ("KERNEL_MERGE", flag(temporal || spatial)),
+            ("KERNEL_SHADES", flag(spatial || kernel == kernel::SHADE)),
+            // Stored targets serve both frames.
+            ("IDENTITY", flag(temporal && still && !control)),
+            ("TRACED", flag(traced)),
+            ("SHOWS", flag(control || decoupled)),
+        ];
+        let mut modules = vec![RESAMPLING_WGSL, VISIBILITY_WGSL, DIRECT_WGSL];
+        if temporal || spatial {
+            modules.push(MERGE_WGSL);
+        }
+        modules.push(include_str!("restir_di/restir_di.wgsl"));
+        Twin { entry, modules, constants, flags }
     }
 }
 

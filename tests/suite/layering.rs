@@ -19,6 +19,7 @@ const TABLE: &[(&str, &[&str])] = &[
     ("path", &["world", "light", "surface", "accel", "scene", "math"]),
     ("resampling", &["math"]),
     ("direct", &["resampling", "path", "world", "light", "surface", "accel", "scene", "math"]),
+    ("gpu", &["direct", "resampling", "world", "light", "surface", "accel", "scene", "math"]),
     ("plan", &["resampling", "world", "light", "surface", "scene", "math"]),
     (
         "techniques",
@@ -38,6 +39,7 @@ const TABLE: &[(&str, &[&str])] = &[
     (
         "frame",
         &[
+            "gpu",
             "techniques",
             "plan",
             "direct",
@@ -58,6 +60,7 @@ const TABLE: &[(&str, &[&str])] = &[
         &[
             "report",
             "frame",
+            "gpu",
             "techniques",
             "direct",
             "plan",

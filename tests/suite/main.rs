@@ -5,6 +5,8 @@
 mod cli;
 mod determinism;
 mod elision;
+#[cfg(all(feature = "gpu", feature = "load"))]
+mod gpu;
 mod laws;
 mod layering;
 mod loaders;

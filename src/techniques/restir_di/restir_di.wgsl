@@ -45,6 +45,8 @@ const DEPTH: f32 = 0.1;
 const OTHER_PATHS: u32 = 0x80000000u;
 const TILE_BLOCK: u32 = 8u;
 
+var<private> own_receiver: Receiver;
+
 fn stream_of(pixel: u32, purpose: u32, round_: u32) -> Stream {
     return stream_new(inputs.run, pixel, inputs.frame, purpose, round_);
 }
@@ -110,6 +112,11 @@ fn integrand_at(receiver: Receiver, record: Record) -> vec3f {
     return select(vec3f(0.0), look.sight.integrand, vec3<bool>(look.sight.valid));
 }
 
+fn is_usable(outcome: Reused) -> bool {
+    return reused_usable(outcome, VISIBILITY_AGE, VISIBILITY_DISTANCE);
+}
+
+//#if KERNEL_TILES
 @compute @workgroup_size(256)
 fn light_tiles(@builtin(global_invocation_id) id: vec3<u32>) {
     if id.x >= LIGHT_TILES * TILE {
@@ -122,7 +129,9 @@ fn light_tiles(@builtin(global_invocation_id) id: vec3<u32>) {
     fill_tile(id.x, vec4<u32>(a, b, c, stream_word(&random)));
     finish_counting();
 }
+//#endif
 
+//#if KERNEL_RIS
 @compute @workgroup_size(8, 8)
 fn ris(@builtin(global_invocation_id) id: vec3<u32>) {
     if id.x >= inputs.size.x || id.y >= inputs.size.y {
@@ -152,7 +161,9 @@ fn ris(@builtin(global_invocation_id) id: vec3<u32>) {
     write_vector(buffer_now(RADIANCE) + pixel * 3u, sum / f32(inputs.effort));
     finish_counting();
 }
+//#endif
 
+//#if KERNEL_INITIAL
 @compute @workgroup_size(8, 8)
 fn initial(@builtin(global_invocation_id) id: vec3<u32>) {
     if id.x >= inputs.size.x || id.y >= inputs.size.y {
@@ -205,7 +216,9 @@ fn initial(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     finish_counting();
 }
+//#endif
 
+//#if KERNEL_MERGE
 // --- What `merge` asks of its host. Inputs are numbered from the canonical one, 0.
 
 struct Sample {
@@ -222,21 +235,19 @@ var<private> records: array<Record, 9>;
 var<private> pixels: array<u32, 9>;
 var<private> distances: array<u32, 9>;
 var<private> seen: array<bool, 9>;
-var<private> own_receiver: Receiver;
 var<private> past_receiver: Receiver;
 var<private> own_control: vec2<u32>;
 var<private> past_control: vec2<u32>;
 var<private> own_stored: Reused;
-var<private> is_temporal: bool;
-// Targets that are stored serve both frames: nothing moves.
-var<private> is_identity: bool;
 
 fn input_finished(input: u32) -> Finished {
     let record = records[input];
     var confidence = record_confidence(record);
-    if is_temporal && input == 1u {
+    //#if KERNEL_TEMPORAL
+    if input == 1u {
         confidence = min(confidence, CAP * record_confidence(records[0]));
     }
+    //#endif
     return Finished(Sample(record.point.light, record.point.uv), record.weight, confidence);
 }
 
@@ -245,45 +256,58 @@ fn input_target(input: u32) -> f32 {
 }
 
 fn target_of(integrand: vec3f) -> f32 {
+    //#if IDENTITY
     // A stored target travels as a grey integrand, whose luminance would round.
-    return select(luminance(integrand), integrand.x, is_identity);
+    return integrand.x;
+    //#else
+    return luminance(integrand);
+    //#endif
 }
 
+//#if IDENTITY
+// Between a pixel and itself one frame ago, where nothing moves: the target is the stored one.
+fn shift(sample: Sample, origin: u32, destination: u32) -> Shifted {
+    return Shifted(sample, vec3f(records[origin].target_luminance), 1.0, true);
+}
+//#else
 fn shift(sample: Sample, origin: u32, destination: u32) -> Shifted {
     var shifted = Shifted(sample, vec3f(0.0), 1.0, false);
-    if is_identity {
-        shifted.integrand = vec3f(records[origin].target_luminance);
-        shifted.valid = true;
-        return shifted;
-    }
     count(SHIFTS, 1u);
     var receiver = own_receiver;
     var from_w = NOW;
-    if is_temporal && !STILL {
+    //#if KERNEL_TEMPORAL
+    if !STILL {
         if destination == 1u {
             receiver = past_receiver;
         } else {
             from_w = BEFORE;
         }
-    } else if destination > 0u && !is_temporal {
+    }
+    //#else
+    if destination > 0u {
         receiver = receiver_of(pixels[destination]);
     }
+    //#endif
     let moved = carried_over(LightPoint(sample.light, sample.uv), from_w, receiver.w);
     if moved.jacobian > 0.0 {
         let look = receiver_look(receiver, moved.point);
-        if look.sight.valid
-            && (POLICY != IN_TARGET || receiver_sees(receiver, look.sight.arrival.direction, look.emitter)) {
+        var visible = look.sight.valid;
+        //#if POLICY=1
+        if visible {
+            visible = receiver_sees(receiver, look.sight.arrival.direction, look.emitter);
+        }
+        //#endif
+        if visible {
             shifted = Shifted(Sample(moved.point.light, moved.point.uv), look.sight.integrand, moved.jacobian, true);
         }
     }
     count_if(SHIFTS_FAILED, !shifted.valid);
     return shifted;
 }
+//#endif
 
+//#if KERNEL_SPATIAL
 fn carry(term: Term) -> Carried {
-    if is_temporal {
-        return carry_temporal(term);
-    }
     let traced = POLICY == WIS || POLICY == CONTROL || (POLICY != IN_TARGET && DECOUPLED && LAST);
     let shows = POLICY == CONTROL || (DECOUPLED && LAST);
     var carried = Carried(0.0, vec3f(0.0));
@@ -292,15 +316,19 @@ fn carry(term: Term) -> Carried {
     }
     if term.input > 0u {
         var visible = true;
+        //#if TRACED
         if traced {
             visible = is_seen(own_receiver, LightPoint(term.shifted.sample.light, term.shifted.sample.uv));
         }
+        //#endif
         seen[term.input] = visible;
         carried.visibility = select(0.0, 1.0, visible);
         if shows && visible {
             carried.radiance = term.shifted.integrand * term.contribution;
         }
-    } else if shows {
+    }
+    //#if SHOWS
+    if term.input == 0u && shows {
         var visible = true;
         if POLICY == CONTROL {
             visible = control_visible(own_control);
@@ -315,14 +343,16 @@ fn carry(term: Term) -> Carried {
             carried.radiance = integrand_at(own_receiver, records[0]) * term.contribution;
         }
     }
+    //#endif
     return carried;
 }
-
-fn carry_temporal(term: Term) -> Carried {
+//#else
+fn carry(term: Term) -> Carried {
     var carried = Carried(0.0, vec3f(0.0));
     if POLICY == WIS {
         carried.visibility = unpack_average(record_kept(records[term.input]));
     }
+    //#if POLICY=5
     if POLICY == CONTROL {
         var integrand = term.shifted.integrand;
         var visible = control_visible(own_control);
@@ -340,12 +370,10 @@ fn carry_temporal(term: Term) -> Carried {
             carried.radiance = integrand * term.contribution;
         }
     }
+    //#endif
     return carried;
 }
-
-fn is_usable(outcome: Reused) -> bool {
-    return reused_usable(outcome, VISIBILITY_AGE, VISIBILITY_DISTANCE);
-}
+//#endif
 
 // The stored outcome of the own sample, or a ray's where it may not be used.
 fn stored_outcome(outcome: Reused, point: LightPoint) -> Reused {
@@ -387,7 +415,9 @@ fn inherited(source: u32, r: Reservoir) -> vec2<u32> {
     }
     return vec2<u32>(age, kept);
 }
+//#endif
 
+//#if KERNEL_TEMPORAL
 @compute @workgroup_size(8, 8)
 fn temporal(@builtin(global_invocation_id) id: vec3<u32>) {
     if id.x >= inputs.size.x || id.y >= inputs.size.y {
@@ -404,20 +434,18 @@ fn merge_history(pixel: u32, x: u32, y: u32) {
     if hit.primitive == MISS || record_confidence(records[0]) == 0.0 {
         return;
     }
-    is_temporal = true;
-    is_identity = STILL && POLICY != CONTROL;
     var past_pixel = pixel;
-    if !is_identity {
-        own_receiver = receiver_new(NOW, hit, primary_direction(x, y));
-        past_receiver = own_receiver;
-        if !STILL {
-            past_pixel = reproject(hit, pixel, x, y);
-            if past_pixel == NONE {
-                count(REUSE_REJECTED, 1u);
-                return;
-            }
-        }
+    //#if !IDENTITY
+    own_receiver = receiver_new(NOW, hit, primary_direction(x, y));
+    past_receiver = own_receiver;
+    //#if !STILL
+    past_pixel = reproject(hit, pixel, x, y);
+    if past_pixel == NONE {
+        count(REUSE_REJECTED, 1u);
+        return;
     }
+    //#endif
+    //#endif
     records[1] = aged(read_record(history_of(B_RESERVOIRS, B_HISTORY), past_pixel));
     if record_confidence(records[1]) == 0.0 {
         return;
@@ -433,6 +461,7 @@ fn merge_history(pixel: u32, x: u32, y: u32) {
     let merged = merge(FAMILY, 1u, &r, &random);
     count(WEIGHTS_REJECTED, r.rejected);
     let kept = inherited(merged.source, r);
+    //#if POLICY=5
     if POLICY == CONTROL {
         var then = vec3f(0.0);
         if control_visible(past_control) {
@@ -445,6 +474,7 @@ fn merge_history(pixel: u32, x: u32, y: u32) {
         let visible = select(seen[1], control_visible(own_control), merged.source == 0u);
         write_control(buffer_now(B_CONTROLS), pixel, control_new(estimate, visible));
     }
+    //#endif
     let sample = LightPoint(merged.finished.sample.light, merged.finished.sample.uv);
     write_record(at, pixel, record_new(
         sample,
@@ -456,6 +486,7 @@ fn merge_history(pixel: u32, x: u32, y: u32) {
     ));
 }
 
+//#if !STILL
 // The pixel of the last frame that saw this surface, whose receiver `past_receiver` then is; NONE where another was.
 fn reproject(hit: Hit, pixel: u32, x: u32, y: u32) -> u32 {
     if inputs.instances.y == 0u {
@@ -509,7 +540,10 @@ fn reproject(hit: Hit, pixel: u32, x: u32, y: u32) -> u32 {
     past_receiver = receiver_new(BEFORE, past_hit, direction);
     return at;
 }
+//#endif
+//#endif
 
+//#if KERNEL_BOILING
 // A workgroup is a tile of the boiling filter.
 var<workgroup> tile_sum: array<f32, 256>;
 var<workgroup> tile_count: array<u32, 256>;
@@ -538,7 +572,9 @@ fn boiling(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocati
         write_record(buffer_now(B_RESERVOIRS), pixel, record_empty(record.packed));
     }
 }
+//#endif
 
+//#if KERNEL_MUTATE
 @compute @workgroup_size(8, 8)
 fn mutate(@builtin(global_invocation_id) id: vec3<u32>) {
     if id.x >= inputs.size.x || id.y >= inputs.size.y {
@@ -618,7 +654,9 @@ fn run_chain(pixel: u32, record: Record) {
         kept,
     ));
 }
+//#endif
 
+//#if KERNEL_SPATIAL
 @compute @workgroup_size(8, 8)
 fn spatial(@builtin(global_invocation_id) id: vec3<u32>) {
     if id.x >= inputs.size.x || id.y >= inputs.size.y {
@@ -643,8 +681,6 @@ fn spatial(@builtin(global_invocation_id) id: vec3<u32>) {
 }
 
 fn merge_neighbours(pixel: u32, x: u32, y: u32) {
-    is_temporal = false;
-    is_identity = false;
     let hit = primary_hit(pixel);
     own_receiver = receiver_new(NOW, hit, primary_direction(x, y));
     var found = 0u;
@@ -706,6 +742,7 @@ fn merge_neighbours(pixel: u32, x: u32, y: u32) {
         kept = pack_average(reservoir_visibility(r));
     }
     var control = own_control;
+    //#if POLICY=5
     if POLICY == CONTROL {
         var then = vec3f(0.0);
         if control_visible(own_control) {
@@ -719,18 +756,15 @@ fn merge_neighbours(pixel: u32, x: u32, y: u32) {
         }
         control = control_new(estimate, visible);
     }
+    //#endif
     let sample = LightPoint(merged.finished.sample.light, merged.finished.sample.uv);
     if LAST {
-        var shown: vec3f;
-        if POLICY == CONTROL {
-            shown = control_estimate(control);
-        } else if decoupled {
-            shown = r.radiance;
-        } else {
-            let result = shade(sample, merged.finished.weight, merged.known, merged.integrand, kept);
-            shown = result.radiance;
-            kept = result.kept;
-        }
+        var shown = select(r.radiance, control_estimate(control), vec3<bool>(POLICY == CONTROL));
+        //#if !SHOWS
+        let result = shade(sample, merged.finished.weight, merged.known, merged.integrand, kept);
+        shown = result.radiance;
+        kept = result.kept;
+        //#endif
         write_vector(buffer_now(RADIANCE) + pixel * 3u, finite_or_counted(shown));
     }
     write_record(buffer_now(B_TO), pixel, record_new(
@@ -745,7 +779,9 @@ fn merge_neighbours(pixel: u32, x: u32, y: u32) {
         write_control(buffer_now(B_CONTROL_TO), pixel, control);
     }
 }
+//#endif
 
+//#if KERNEL_SHADES
 struct Shown {
     radiance: vec3f,
     kept: u32,
@@ -782,7 +818,9 @@ fn shade(sample: LightPoint, weight: f32, known: bool, integrand: vec3f, kept: u
     }
     return Shown(look.sight.integrand * (select(0.0, 1.0, visible) * weight), remains);
 }
+//#endif
 
+//#if KERNEL_SHADE
 @compute @workgroup_size(8, 8)
 fn shade_only(@builtin(global_invocation_id) id: vec3<u32>) {
     if id.x >= inputs.size.x || id.y >= inputs.size.y {
@@ -792,16 +830,21 @@ fn shade_only(@builtin(global_invocation_id) id: vec3<u32>) {
     let record = read_record(buffer_now(B_RESERVOIRS), pixel);
     var shown = vec3f(0.0);
     if primary_hit(pixel).primitive != MISS && record_confidence(record) > 0.0 {
+        //#if POLICY=5
         if POLICY == CONTROL {
             shown = control_estimate(read_control(buffer_now(B_CONTROLS), pixel));
-        } else {
+        }
+        //#else
+        if POLICY != CONTROL {
             own_receiver = receiver_of(pixel);
             shown = shade(record.point, record.weight, false, vec3f(0.0), record_kept(record)).radiance;
         }
+        //#endif
     }
     write_vector(buffer_now(RADIANCE) + pixel * 3u, finite_or_counted(shown));
     finish_counting();
 }
+//#endif
 
 @compute @workgroup_size(8, 8)
 fn other_paths(@builtin(global_invocation_id) id: vec3<u32>) {

@@ -1,0 +1,437 @@
+//! The same frames on both backends: pass by pass from the same bytes, whole sequences by paired tests, skips by counters.
+
+use std::sync::Arc;
+
+use super::*;
+use crate::gpu::Gpu;
+use crate::plan::Filter;
+use crate::scene::{Curve, Interpolation, Track, Transform};
+use crate::stats::{Margin, Moments, Verdict, equivalence, t_test};
+use crate::techniques::parse;
+
+fn device() -> Option<Arc<Gpu>> {
+    crate::gpu::tests::device()
+}
+
+fn shot(size: [u32; 2], depth: u32) -> Shot {
+    Shot { size, depth, filter: Filter::Point, run: 7, effort: 1, fps: 30 }
+}
+
+fn stage(name: &str) -> Stage {
+    let scene = crate::scene::generate(name).unwrap();
+    Stage::new(scene).unwrap()
+}
+
+/// Two shapes of lights, spheres, a mirror; nothing moves.
+fn still() -> Stage {
+    stage("many-lights:60")
+}
+
+/// The same with many lights, so that tiles are made.
+fn many() -> Stage {
+    stage("many-lights:1500")
+}
+
+/// Scenes whose camera, lights and geometry move are made of a still one, instance by instance.
+fn moving() -> Stage {
+    let mut scene = crate::scene::generate("many-lights:60").unwrap();
+    let moved = |transform: &Transform, by: Vec3| {
+        let translation = Curve {
+            keys: vec![(0.0, Vec3::ZERO), (1.0, by)],
+            interpolation: Interpolation::Linear,
+        };
+        let (rotation, scale) = (Curve::constant(glam::Quat::IDENTITY), Curve::constant(Vec3::ONE));
+        let track = Track::Trs { translation, rotation, scale };
+        Transform::Chain(vec![track, Track::Fixed(transform.fixed())])
+    };
+    let size = crate::world::bounds(&scene);
+    let step = 0.05 * (size[1] - size[0]).length();
+    scene.camera.to_world = moved(&scene.camera.to_world, step * Vec3::new(1.0, 0.2, 0.5));
+    let count = scene.instances.len();
+    for (at, instance) in scene.instances.iter_mut().enumerate() {
+        if at * 3 > count {
+            instance.to_world = moved(&instance.to_world, step * Vec3::new(0.3, 0.4, -0.2));
+        }
+    }
+    scene.time = [0.0, 1.0];
+    Stage::new(scene).unwrap()
+}
+
+/// Words of every buffer after the first `passes` passes of frame `frame`; all frames before it, and all but the last of these passes, ran on the
+/// CPU. With `here`, the last one did, too.
+fn after(
+    gpu: &Arc<Gpu>,
+    (stage, spec, shot): (&Stage, &str, Shot),
+    (frame, passes, here): (u32, usize, bool),
+) -> Vec<Vec<u32>> {
+    let backend = Backend::Gpu(gpu.clone());
+    let mut frames =
+        FrameLoop::with_backend(Arc::from(parse(spec).unwrap()), stage, shot, &backend).unwrap();
+    frames.run_on_cpu(usize::MAX);
+    for _ in 0..frame {
+        frames.render().unwrap();
+    }
+    frames.run_on_cpu(if here { passes } else { passes - 1 });
+    frames.device.as_mut().unwrap().stop_after = passes;
+    frames.render().unwrap();
+    let device = frames.device.as_ref().unwrap();
+    (0..frames.plan.buffers.len()).map(|buffer| device.runner.read(buffer).unwrap()).collect()
+}
+
+/// Words of both that differ by more than rounding; `integers` are compared as they are.
+fn differing(name: &str, here: &[u32], there: &[u32], words: usize) -> usize {
+    let elements = here.chunks(words).zip(there.chunks(words));
+    elements.filter(|(a, b)| !same_element(name, a, b)).count()
+}
+
+fn same_element(name: &str, a: &[u32], b: &[u32]) -> bool {
+    let close = |a: u32, b: u32, relative: f32| {
+        let (a, b) = (f32::from_bits(a), f32::from_bits(b));
+        a == b || (a - b).abs() <= relative * a.abs().max(b.abs()).max(1e-6)
+    };
+    match name {
+        // Distance and place; which primitive of which instance.
+        "hits" => {
+            a[3..] == b[3..]
+                && close(a[0], b[0], 1e-4)
+                && (a[3] == u32::MAX || (close(a[1], b[1], 1e-2) && close(a[2], b[2], 1e-2)))
+        }
+        // Light, place on it, W, target, confidence and age and visibility.
+        "reservoirs" | "history" | "bounce" => {
+            let kept = |w: u32| w >> 16;
+            a[0] == b[0]
+                && (1..3).all(|k| {
+                    close(a[k], b[k], 1e-3)
+                        || (f32::from_bits(a[k]) - f32::from_bits(b[k])).abs() < 1e-4
+                })
+                && (3..5).all(|k| close(a[k], b[k], 1e-2))
+                && a[5] & 0xFFFF == b[5] & 0xFFFF
+                && kept(a[5]).abs_diff(kept(b[5])) <= 2
+        }
+        "normals" => (0..2).all(|k| {
+            let part = |w: u32| (w >> (16 * k)) as u16 as i16;
+            part(a[0]).abs_diff(part(b[0])) <= 2
+        }),
+        "controls" | "history controls" => {
+            let words = |w: &[u32]| -> crate::direct::Control { bytemuck::cast([w[0], w[1]]) };
+            let (a, b) = (words(a), words(b));
+            let scale = a.estimate().abs().max_element().max(b.estimate().abs().max_element());
+            a.visible() == b.visible()
+                && (a.estimate() - b.estimate()).abs().max_element() <= 2e-3 * scale.max(1e-6)
+        }
+        "light tiles" => {
+            a[9..12] == b[9..12] && (0..9).chain(12..15).all(|k| close(a[k], b[k], 1e-3))
+        }
+        // Colours.
+        _ => a.iter().zip(b).all(|(a, b)| close(*a, *b, 1e-2)),
+    }
+}
+
+/// Each pass of a frame from the same bytes: at most one element in 10⁴ (and two in all) decides otherwise by rounding.
+fn passes_agree(gpu: &Arc<Gpu>, stage: &Stage, spec: &str, shot: Shot) {
+    let technique = parse(spec).unwrap();
+    let plan = technique.plan(stage.facts(), &shot);
+    for frame in [0, 2] {
+        let mut count = 0;
+        for pass in &plan.passes {
+            let runs = match pass.runs {
+                Runs::Always => true,
+                Runs::Once => frame == 0,
+                Runs::WithHistory => frame > 0,
+            };
+            if !runs {
+                continue;
+            }
+            count += 1;
+            let how = (stage, spec, shot);
+            let here = after(gpu, how, (frame, count, true));
+            let there = after(gpu, how, (frame, count, false));
+            for id in &pass.writes {
+                let buffer = &plan.buffers[id.0];
+                let words = buffer.bytes as usize / 4;
+                let elements = here[id.0].len() / words;
+                let flips = differing(buffer.name, &here[id.0], &there[id.0], words);
+                assert!(
+                    flips <= 2.max(elements / 10_000),
+                    "{spec}, frame {frame}, pass `{}`: {flips} of {elements} elements of `{}` differ",
+                    pass.name,
+                    buffer.name
+                );
+            }
+        }
+    }
+}
+
+const POLICIES: [&str; 6] = [
+    "restir-di",
+    "restir-di:visibility=trace,neighbours=2",
+    "restir-di:visibility=bitterli",
+    "restir-di:visibility=reuse,mutations=2",
+    "restir-di:visibility=wis,mis=constant",
+    "restir-di:visibility=wis-cv,mutations=1",
+];
+
+#[test]
+fn every_pass_gives_the_same_from_the_same_bytes() {
+    let Some(gpu) = device() else { return };
+    let still = still();
+    for spec in POLICIES {
+        passes_agree(&gpu, &still, spec, shot([64, 48], 2));
+    }
+    for spec in [
+        "nee",
+        "nee:lights=all",
+        "bsdf",
+        "ris",
+        "restir-di:neighbours=0",
+        "restir-di:visibility=wis-cv,neighbours=0",
+        "restir-di:rounds=3,mis=balance,neighbours=2",
+        "restir-di:mis=inverse-count,temporal-mis=contribution",
+        "restir-di:mis=contribution,neighbours=3,temporal-mis=inverse-count",
+        "restir-di:mis=pairwise,decoupled=true,visibility=reuse",
+        "restir-di:preset=interactive,decoupled=true",
+    ] {
+        passes_agree(&gpu, &still, spec, shot([64, 48], 3));
+    }
+    let many = many();
+    for spec in ["ris", "restir-di"] {
+        passes_agree(&gpu, &many, spec, shot([64, 48], 2));
+    }
+}
+
+#[test]
+fn every_pass_of_moving_scenes_gives_the_same_from_the_same_bytes() {
+    let Some(gpu) = device() else { return };
+    let moving = moving();
+    for spec in ["nee", "restir-di", "restir-di:visibility=wis-cv", "restir-di:visibility=wis"] {
+        passes_agree(&gpu, &moving, spec, shot([64, 48], 2));
+    }
+    let boxed = Shot { filter: Filter::Box, ..shot([64, 48], 2) };
+    passes_agree(&gpu, &still(), "restir-di", boxed);
+    passes_agree(&gpu, &still(), "nee", boxed);
+}
+
+/// Differences of mean luminance, GPU − CPU with equal seeds, over restarts, as shares of the mean: two one-sided t tests place their mean within
+/// 0.5 % (α = 10⁻³). Rare decisions by rounding skew them, so Student's law is not exact; but no single difference may leave the margin either.
+fn assert_equivalent(
+    gpu: &Arc<Gpu>,
+    (stage, spec, shot): (&Stage, &str, Shot),
+    (frames, restarts): (u32, u32),
+) {
+    const DELTA: f64 = 0.005;
+    let start = |backend: &Backend| {
+        FrameLoop::with_backend(Arc::from(parse(spec).unwrap()), stage, shot, backend).unwrap()
+    };
+    let mut loops = [start(&Backend::Cpu), start(&Backend::Gpu(gpu.clone()))];
+    let mut pairs = Vec::new();
+    for restart in 0..restarts {
+        pairs.push(loops.each_mut().map(|frames_of| {
+            frames_of.restart(u64::from(restart) + 100);
+            let mut shown = 0.0;
+            for _ in 0..frames {
+                let frame = frames_of.render().unwrap();
+                assert_eq!(frame.counters.non_finite + frame.counters.weights_rejected, 0);
+                shown = f64::from(frame.picture().mean_luminance());
+            }
+            shown
+        }));
+    }
+    let mean = pairs.iter().map(|[here, _]| here).sum::<f64>() / f64::from(restarts);
+    assert!(mean > 0.0, "{spec}: black");
+    let mut differences = Moments::default();
+    let mut worst = 0.0_f64;
+    for [here, there] in pairs {
+        let difference = (there - here) / mean;
+        differences.push(difference);
+        worst = worst.max(difference.abs());
+    }
+    let (low, high) = t_test(&differences, 0.0).interval(1.0 - 2e-3);
+    eprintln!(
+        "{spec}: GPU - CPU in {:+.5} to {:+.5} %, worst {:.5} %",
+        100.0 * low,
+        100.0 * high,
+        100.0 * worst
+    );
+    assert!(
+        low > -DELTA && high < DELTA && worst < DELTA,
+        "{spec}: {low} to {high}, worst {worst}"
+    );
+}
+
+#[test]
+fn sequences_are_equivalent() {
+    let Some(gpu) = device() else { return };
+    let (still, moving) = (still(), moving());
+    for spec in ["nee", "ris"].into_iter().chain(POLICIES) {
+        assert_equivalent(&gpu, (&still, spec, shot([40, 30], 2)), (4, 12));
+    }
+    for spec in ["restir-di", "restir-di:visibility=wis-cv"] {
+        assert_equivalent(&gpu, (&moving, spec, shot([40, 30], 2)), (4, 12));
+    }
+}
+
+/// The control: a kernel that adds 1 % is found, by the pairs and by the pass.
+#[test]
+fn a_small_difference_in_a_kernel_is_found() {
+    let Some(gpu) = device() else { return };
+    let still = still();
+    let shot = shot([40, 30], 2);
+    let technique: Arc<dyn Technique> = Arc::new(Brighter(parse("nee").unwrap()));
+    let mut here = FrameLoop::new(technique.clone(), &still, shot).unwrap();
+    let mut there = FrameLoop::with_backend(technique, &still, shot, &Backend::Gpu(gpu)).unwrap();
+    let (mut differences, mut mean) = (Moments::default(), 0.0);
+    for run in 0..12 {
+        here.restart(run);
+        there.restart(run);
+        let a = f64::from(here.render().unwrap().picture().mean_luminance());
+        let b = f64::from(there.render().unwrap().picture().mean_luminance());
+        differences.push(b - a);
+        mean += a / 12.0;
+    }
+    let margin = Margin { delta: 0.005 * mean, equivalence_alpha: 1e-3, difference_alpha: 1e-3 };
+    assert_eq!(equivalence(&t_test(&differences, 0.0), &margin).verdict, Verdict::Fail);
+}
+
+/// `nee`, whose twin is 1 % too bright.
+#[derive(Debug)]
+struct Brighter(Box<dyn Technique>);
+
+impl Technique for Brighter {
+    fn spec(&self) -> String {
+        "brighter".into()
+    }
+    fn plan(&self, facts: &SceneFacts, shot: &Shot) -> Plan {
+        self.0.plan(facts, shot)
+    }
+    fn run(&self, kernel: u32, inputs: &FrameInputs<'_>, band: &mut Band<'_>) -> Counters {
+        self.0.run(kernel, inputs, band)
+    }
+    fn twin(&self, kernel: u32, plan: &Plan) -> Option<crate::techniques::Twin> {
+        let mut twin = self.0.twin(kernel, plan)?;
+        let text = twin.modules[0].replace("sum * mean", "sum * mean * 1.01");
+        twin.modules[0] = Box::leak(text.into_boxed_str());
+        Some(twin)
+    }
+}
+
+/// A technique without a twin runs on the CPU, and says so.
+#[test]
+fn a_technique_without_a_twin_runs_on_the_cpu() {
+    #[derive(Debug)]
+    struct Plain(Box<dyn Technique>);
+    impl Technique for Plain {
+        fn spec(&self) -> String {
+            "plain".into()
+        }
+        fn plan(&self, facts: &SceneFacts, shot: &Shot) -> Plan {
+            self.0.plan(facts, shot)
+        }
+        fn run(&self, kernel: u32, inputs: &FrameInputs<'_>, band: &mut Band<'_>) -> Counters {
+            self.0.run(kernel, inputs, band)
+        }
+    }
+    let Some(gpu) = device() else { return };
+    let still = still();
+    let backend = Backend::Gpu(gpu.clone());
+    let start = |technique: Arc<dyn Technique>| {
+        FrameLoop::with_backend(technique, &still, shot([16, 16], 2), &backend).unwrap()
+    };
+    let mut plain = start(Arc::new(Plain(parse("nee").unwrap())));
+    assert_eq!(plain.runs_on(), None);
+    assert!(plain.render().unwrap().picture().mean_luminance() > 0.0);
+    let twin = start(Arc::from(parse("nee").unwrap()));
+    assert_eq!(twin.runs_on(), Some(gpu.info().to_string()));
+    assert!(twin.scene_bytes() > 0);
+}
+
+/// Counters of both backends are equal but for rays that rounding decides, and what the plan leaves out is 0 on both.
+#[test]
+fn skips_are_the_same_on_both_backends() {
+    let Some(gpu) = device() else { return };
+    let still = still();
+    for spec in ["nee", "ris", "restir-di", "restir-di:visibility=trace", "restir-di:cap=0"] {
+        let backend = Backend::Gpu(gpu.clone());
+        let start = |backend: &Backend| {
+            FrameLoop::with_backend(
+                Arc::from(parse(spec).unwrap()),
+                &still,
+                shot([48, 32], 2),
+                backend,
+            )
+            .unwrap()
+        };
+        let (mut here, mut there) = (start(&Backend::Cpu), start(&backend));
+        for frame in 0..3 {
+            let a = here.render().unwrap();
+            let (a, a_passes) = (a.counters, a.passes.len());
+            let b = there.render().unwrap();
+            assert_eq!(a_passes, b.passes.len(), "{spec}: dispatches are the plan's passes");
+            for ((name, a), (_, b)) in a.entries().into_iter().zip(b.counters.entries()) {
+                let apart = a.abs_diff(b);
+                assert!(
+                    apart <= 4 + a / 5_000,
+                    "{spec}, frame {frame}: {name} is {a} here, {b} there"
+                );
+                assert!((a == 0) == (b == 0) || apart <= 4, "{spec}: {name} {a} {b}");
+            }
+            if frame > 0 {
+                assert_eq!(b.counters.primary_rays, 0, "nothing moves");
+            }
+        }
+    }
+}
+
+/// A run may take its first passes from the CPU; the picture is the same to rounding whatever their number.
+#[test]
+fn a_disagreement_can_be_bisected() {
+    let Some(gpu) = device() else { return };
+    let still = still();
+    let mut pictures = Vec::new();
+    for passes in 0..=4 {
+        let backend = Backend::Gpu(gpu.clone());
+        let technique = Arc::from(parse("restir-di").unwrap());
+        let mut frames =
+            FrameLoop::with_backend(technique, &still, shot([32, 24], 2), &backend).unwrap();
+        frames.run_on_cpu(passes);
+        for _ in 0..3 {
+            frames.render().unwrap();
+        }
+        pictures.push(f64::from(frames.render().unwrap().picture().mean_luminance()));
+    }
+    assert!(pictures[0] > 0.0);
+    for picture in &pictures {
+        assert!((picture / pictures[0] - 1.0).abs() < 1e-3, "{pictures:?}");
+    }
+}
+
+/// A host moves its own scene: lights come and go, and both backends follow.
+#[test]
+fn hosts_move_scenes_on_both_backends() {
+    let Some(gpu) = device() else { return };
+    let scene = crate::scene::generate("many-lights:40").unwrap();
+    let stage = Stage::moving(scene.clone()).unwrap();
+    let start = |backend: &Backend| {
+        let technique = Arc::from(parse("restir-di").unwrap());
+        FrameLoop::with_backend(technique, &stage, shot([48, 32], 2), backend).unwrap()
+    };
+    let (mut here, mut there) = (start(&Backend::Cpu), start(&Backend::Gpu(gpu)));
+    for step in 0..4_u32 {
+        let mut now = scene.clone();
+        // An instance goes, and comes back; one more is placed.
+        if step == 1 {
+            now.instances.remove(now.instances.len() - 3);
+        }
+        if step == 3 {
+            for extra in 0..40 {
+                let last = now.instances[now.instances.len() - 1].clone();
+                let by = glam::Affine3A::from_translation(Vec3::Y * 0.1 * (extra + 1) as f32);
+                let place = Transform::Fixed(by * last.to_world.fixed());
+                now.add_instance(last.object, place, 10_000 + extra);
+            }
+        }
+        let a = here.render_scene(now.clone()).unwrap().picture();
+        let b = there.render_scene(now).unwrap().picture();
+        let (a, b) = (a.mean_luminance(), b.mean_luminance());
+        assert!(a > 0.0 && (b / a - 1.0).abs() < 2e-3, "frame {step}: {a} here, {b} there");
+    }
+}

@@ -1,0 +1,335 @@
+//! What the modules look like: validity for every plan, layouts, numbers of bindings. Needs no device.
+
+use std::mem::offset_of;
+
+use super::super::shader::{SceneConstants, wgsl};
+use super::super::upload::{CameraRecord, Inputs, ProjectionRecord, WorldRecord};
+use super::super::{Kernel, STORAGE_BUFFERS};
+use crate::frame::gpu::twins;
+use crate::plan::{Filter, SceneFacts, Shot};
+use crate::scene::generate;
+use crate::techniques::{REGISTRY, parse};
+use crate::world::World;
+
+fn parsed(source: &str) -> Result<naga::Module, String> {
+    let module = naga::front::wgsl::parse_str(source).map_err(|e| e.emit_to_string(source))?;
+    // No capability beyond what every device has.
+    let mut validator = naga::valid::Validator::new(
+        naga::valid::ValidationFlags::all(),
+        naga::valid::Capabilities::empty(),
+    );
+    validator.validate(&module).map_err(|e| e.emit_to_string(source))?;
+    Ok(module)
+}
+
+/// Number of storage buffers that a module declares.
+fn storage_buffers(module: &naga::Module) -> usize {
+    let globals = module.global_variables.iter();
+    globals.filter(|(_, v)| matches!(v.space, naga::AddressSpace::Storage { .. })).count()
+}
+
+/// Fields of a structure with their offsets, and its size.
+type Layout = (Vec<(String, u32)>, u32);
+
+fn layout(module: &naga::Module, name: &str) -> Layout {
+    for (_, ty) in module.types.iter() {
+        if ty.name.as_deref() == Some(name)
+            && let naga::TypeInner::Struct { members, span } = &ty.inner
+        {
+            let field = |m: &naga::StructMember| (m.name.clone().unwrap_or_default(), m.offset);
+            return (members.iter().map(field).collect(), *span);
+        }
+    }
+    panic!("no structure is called {name}");
+}
+
+const EVERYTHING: SceneConstants = SceneConstants {
+    two_level: true,
+    quadrics: true,
+    coverage: true,
+    textures: true,
+    environments: true,
+    anisotropic: true,
+    materials: 0xFF,
+    stack: 64,
+};
+
+const LITTLE: SceneConstants = SceneConstants {
+    two_level: false,
+    quadrics: false,
+    coverage: false,
+    textures: false,
+    environments: false,
+    anisotropic: false,
+    materials: 1,
+    stack: 16,
+};
+
+fn facts() -> Vec<SceneFacts> {
+    let scene = generate("many-lights:2000").unwrap();
+    let world = World::new(scene, &Default::default()).unwrap();
+    let many = SceneFacts::new(&world.scene, world.lights.counts());
+    let mut few = many.clone();
+    few.lights.triangles = 3;
+    few.lights.quadrics = 0;
+    let moving = SceneFacts {
+        moving_camera: true,
+        moving_lights: true,
+        moving_geometry: true,
+        ..few.clone()
+    };
+    let delta = SceneFacts { delta_lobes: true, ..many.clone() };
+    let mut one = few.clone();
+    one.lights.triangles = 1;
+    vec![many, few, moving, delta, one]
+}
+
+fn specs() -> Vec<String> {
+    let mut specs: Vec<String> = REGISTRY.iter().map(|entry| entry.name.to_string()).collect();
+    specs.push("nee:lights=all".into());
+    for policy in crate::direct::Visibility::NAMES {
+        specs.push(format!("restir-di:visibility={policy}"));
+        specs.push(format!("restir-di:visibility={policy},neighbours=0"));
+        specs.push(format!("restir-di:visibility={policy},mutations=2,rounds=3"));
+        if policy != "wis" {
+            specs.push(format!("restir-di:visibility={policy},decoupled=true"));
+        }
+    }
+    for family in crate::resampling::Family::ALL {
+        specs.push(format!("restir-di:mis={},temporal-mis={0},neighbours=3", family.name()));
+    }
+    specs.push("restir-di:preset=interactive".into());
+    specs.push("restir-di:cap=0".into());
+    specs
+}
+
+/// Every kernel of every plan, for scenes with everything and with little, is valid and binds no more than every device can.
+#[test]
+fn every_kernel_of_every_plan_is_valid() {
+    let mut kernels = std::collections::BTreeMap::new();
+    for facts in facts() {
+        for spec in specs() {
+            for filter in [Filter::Point, Filter::Box] {
+                let technique = parse(&spec).unwrap();
+                let shot = Shot { size: [64, 64], depth: 3, filter, run: 1, effort: 1, fps: 30 };
+                let plan = technique.plan(&facts, &shot);
+                for twin in twins(&*technique, &plan).expect("every built-in technique has twins") {
+                    for scene in [EVERYTHING, LITTLE] {
+                        let how = (&twin.constants[..], &twin.flags[..]);
+                        let kernel = Kernel::new(twin.entry, &twin.modules, how, &scene);
+                        let constants = kernel.constants.clone();
+                        kernels.entry(kernel.source()).or_insert((
+                            twin.entry,
+                            spec.clone(),
+                            constants,
+                        ));
+                    }
+                }
+            }
+        }
+    }
+    assert!(kernels.len() > 40, "{}", kernels.len());
+    for (source, (entry, spec, constants)) in &kernels {
+        let module = parsed(source).unwrap_or_else(|e| panic!("`{entry}` of {spec}: {e}"));
+        assert!(module.entry_points.iter().any(|e| e.name == *entry), "{spec}: no {entry}");
+        let bound = storage_buffers(&module);
+        assert!(
+            bound <= STORAGE_BUFFERS as usize,
+            "`{entry}` of {spec} binds {bound} storage buffers"
+        );
+        // A constant that no module declares would be an error of the device, later.
+        for (name, _) in constants {
+            let known = module.overrides.iter().any(|(_, o)| o.name.as_deref() == Some(*name));
+            assert!(known, "`{entry}` of {spec}: no override is called {name}");
+        }
+    }
+}
+
+macro_rules! fields {
+    ($type:ty, $($name:ident),*) => {
+        (vec![$((stringify!($name).to_string(), offset_of!($type, $name) as u32)),*], size_of::<$type>() as u32)
+    };
+}
+
+/// Name, what WGSL says, what Rust says.
+fn layouts(source: &str) -> Vec<(&'static str, Layout, Layout)> {
+    let module = parsed(source).unwrap();
+    let of = |name| layout(&module, name);
+    vec![
+        (
+            "Inputs",
+            of("Inputs"),
+            fields!(
+                Inputs,
+                run,
+                frame,
+                effort,
+                size,
+                depth,
+                box_filter,
+                remap,
+                instances,
+                srgb,
+                items,
+                camera,
+                camera_before,
+                projection,
+                worlds,
+                buffers
+            ),
+        ),
+        ("CameraRays", of("CameraRays"), fields!(CameraRecord, origin, corner, right, down)),
+        (
+            "Projection",
+            of("Projection"),
+            fields!(ProjectionRecord, row_x, row_y, row_z, origin, scale),
+        ),
+        (
+            "World",
+            of("World"),
+            fields!(
+                WorldRecord,
+                placements,
+                top_nodes,
+                top_order,
+                top_reach,
+                bottom_nodes,
+                bottom_slots,
+                bottom_cold,
+                bottom_flags,
+                bottom_reach,
+                instances,
+                first_of_shape,
+                shapes,
+                lights,
+                light_count,
+                alias_slots,
+                alias_count,
+                probabilities,
+                environments,
+                environment_count,
+                emitter_placements,
+                emitter_nodes,
+                emitter_slots,
+                emitter_cold,
+                emitter_flags,
+                emitter_reach,
+                emitter_first
+            ),
+        ),
+    ]
+}
+
+/// Structures in which a field of one side stands elsewhere on the other.
+fn mismatches(source: &str) -> Vec<&'static str> {
+    let is_padding = |(name, _): &(String, u32)| name.starts_with("padding");
+    layouts(source)
+        .into_iter()
+        .filter(|(_, (wgsl, wgsl_size), (rust, rust_size))| {
+            let named: Vec<_> = wgsl.iter().filter(|f| !is_padding(f)).cloned().collect();
+            named != *rust || wgsl_size != rust_size
+        })
+        .map(|(name, ..)| name)
+        .collect()
+}
+
+fn plain() -> String {
+    Kernel::new("primary_hits", &[], (&[], &[]), &EVERYTHING).source()
+}
+
+#[test]
+fn structures_have_the_same_layout_on_both_sides() {
+    assert_eq!(mismatches(&plain()), Vec::<&str>::new());
+}
+
+/// The control: two fields of the same type change places.
+#[test]
+fn a_swapped_field_is_found() {
+    let swapped = plain().replace(
+        "    alias_slots: u32,\n    alias_count: u32,\n",
+        "    alias_count: u32,\n    alias_slots: u32,\n",
+    );
+    assert_ne!(swapped, plain());
+    assert_eq!(mismatches(&swapped), ["World"]);
+}
+
+/// The control: a ninth storage buffer is counted, and no device takes the kernel.
+#[test]
+fn a_ninth_storage_buffer_is_found() {
+    let mut source = plain();
+    for binding in 7..10 {
+        source.push_str(&format!(
+            "@group(0) @binding({binding}) var<storage, read_write> more_{binding}: array<u32>;\n"
+        ));
+    }
+    source.push_str(
+        "@compute @workgroup_size(1) fn too_many() {
+            more_7[0] = words[0] + texels[0] + nodes[0].x + geometry[0].x + state[0];
+            more_8[0] = 1u; more_9[0] = 1u; atomicAdd(&counters[0], 1u);
+        }",
+    );
+    let module = parsed(&source).unwrap();
+    assert_eq!(storage_buffers(&module), STORAGE_BUFFERS as usize + 1);
+    let Some(gpu) = super::device() else { return };
+    let layout = gpu.guarded("a kernel's bindings", || {
+        let entry = |binding| wgpu::BindGroupLayoutEntry {
+            binding,
+            visibility: wgpu::ShaderStages::COMPUTE,
+            ty: wgpu::BindingType::Buffer {
+                ty: wgpu::BufferBindingType::Storage { read_only: false },
+                has_dynamic_offset: false,
+                min_binding_size: None,
+            },
+            count: None,
+        };
+        let entries: Vec<_> = (0..9).map(entry).collect();
+        let descriptor = wgpu::BindGroupLayoutDescriptor { label: None, entries: &entries };
+        let group = gpu.device().create_bind_group_layout(&descriptor);
+        gpu.device().create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: None,
+            bind_group_layouts: &[Some(&group)],
+            immediate_size: 0,
+        })
+    });
+    let error = layout.unwrap_err();
+    assert!(error.is_gpu() && error.to_string().contains("a kernel's bindings"), "{error}");
+}
+
+/// The public parts compile alone, with a stub of what a host brings.
+#[test]
+fn public_modules_compile_with_a_stub_of_a_host() {
+    parsed(wgsl::RNG).unwrap();
+    parsed(wgsl::VISIBILITY).unwrap();
+    parsed(&format!("{}{}", wgsl::RNG, wgsl::RESAMPLING)).unwrap();
+    let stub = "
+    struct Sample { x: f32 }
+    struct Carried { visibility: f32, radiance: vec3f }
+    fn input_finished(input: u32) -> Finished { return Finished(Sample(0.5), 1.0, 1.0); }
+    fn input_target(input: u32) -> f32 { return 1.0; }
+    fn shift(sample: Sample, origin: u32, destination: u32) -> Shifted {
+        return Shifted(sample, vec3f(1.0), 1.0, true);
+    }
+    fn target_of(integrand: vec3f) -> f32 { return integrand.x; }
+    fn carry(term: Term) -> Carried { return Carried(1.0, vec3f(0.0)); }
+    @compute @workgroup_size(1)
+    fn host() {
+        var r = reservoir_new();
+        var random = stream_from_key(vec2<u32>(1u, 2u));
+        let merged = merge(FAMILY_DEFENSIVE, 2u, &r, &random);
+    }";
+    parsed(&[wgsl::RNG, wgsl::RESAMPLING, wgsl::MERGE, wgsl::VISIBILITY, stub].concat()).unwrap();
+}
+
+/// Directives drop what constants say, keep what is not known, and leave texts valid.
+#[test]
+fn directives_select_lines() {
+    let text = "a\n//#if X\nb\n//#else\nc\n//#endif\n//#if Y=2|3\nd\n//#endif\n//#if !X\ne\n//#if Z\nf\n//#endif\n//#endif\n";
+    let select = |pairs: &[(&str, f64)]| {
+        let mut out = String::new();
+        super::super::shader::select(text, &pairs.iter().copied().collect(), &mut out);
+        out.replace('\n', "")
+    };
+    assert_eq!(select(&[("X", 1.0), ("Y", 3.0)]), "abd");
+    assert_eq!(select(&[("X", 0.0), ("Y", 1.0), ("Z", 1.0)]), "acef");
+    assert_eq!(select(&[]), "abcdef");
+}
