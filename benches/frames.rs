@@ -1,15 +1,20 @@
 //! One steady frame of every technique, 128 × 128 pixels: `frames/SCENE/TECHNIQUE`, in pixels a second; and what leaving things out gains:
-//! `skips/WHAT/with` against `skips/WHAT/without`, the same picture by the general plan and by the one that the scene allows.
+//! `skips/WHAT/with` against `skips/WHAT/without`, the same picture by the general plan and by the one that the scene allows; `gpu-skips` is the same on
+//! a graphics processor, by the milliseconds that the device itself reports, where there is one.
 
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Duration;
 
-use afterimage::frame::{FrameLoop, Stage};
+use afterimage::frame::{Backend, FrameLoop, Stage};
 use afterimage::plan::{Filter, Shot};
-use afterimage::scene::{Light, LightKind, Transform, generate, load};
+use afterimage::scene::{
+    Channel, Color, ConductorColor, Geometry, Light, LightKind, Material, Roughness, Scalar, Shape,
+    Texture, TextureKind, Transform, generate, load,
+};
 use afterimage::techniques::{REGISTRY, parse};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use glam::{Affine3A, Vec3};
+use glam::{Affine2, Affine3A, Vec3};
 
 const SIZE: [u32; 2] = [128, 128];
 
@@ -39,6 +44,15 @@ fn frames(criterion: &mut Criterion) {
 
 /// The general plan and the specialised one give the same picture (`tests/suite/elision.rs`); here is what it costs.
 fn skips(criterion: &mut Criterion) {
+    skips_on(criterion, "skips", &Backend::Cpu);
+    #[cfg(feature = "gpu")]
+    match afterimage::gpu::Gpu::open(None) {
+        Ok(gpu) => skips_on(criterion, "gpu-skips", &Backend::Gpu(gpu)),
+        Err(error) => eprintln!("gpu-skips are left out: {error}"),
+    }
+}
+
+fn skips_on(criterion: &mut Criterion, name: &str, backend: &Backend) {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let cornell =
         || load::load(&root.join("scenes/cornell.pbrt")).expect("our own scene loads").scene;
@@ -58,6 +72,30 @@ fn skips(criterion: &mut Criterion) {
         let mut scene = lamp();
         let second = Light { key: 2, ..scene.lights[0].clone() };
         scene.lights.push(second);
+        scene
+    };
+    // Far behind the camera, in every material that kernels could leave out.
+    let everything = || {
+        let mut scene = cornell();
+        let grey = Color::Constant(Vec3::splat(0.5));
+        let texture = scene.add_texture(Texture {
+            kind: TextureKind::Checkerboard { first: grey, second: grey },
+            mapping: Affine2::IDENTITY,
+        });
+        let roughness = Roughness::isotropic(0.3);
+        let materials = [
+            Material::Diffuse { reflectance: Color::Texture(texture) },
+            Material::Conductor { color: ConductorColor::Reflectance(grey), roughness },
+            Material::Dielectric { eta: 1.5, roughness },
+            Material::CoatedDiffuse { reflectance: grey, eta: 1.5, roughness },
+        ];
+        for (at, material) in materials.into_iter().enumerate() {
+            let material = scene.add_material(material);
+            let center = Vec3::new(3.0 * at as f32, 0.0, 100.0);
+            let mut shape = Shape::new(Geometry::Sphere { center, radius: 1.0 }, material);
+            shape.alpha = Some(Scalar::Texture(texture, Channel::Red));
+            scene.add_shape(shape);
+        }
         scene
     };
     // What is measured, its stage, SPEC and depth: as the scene allows, then in general.
@@ -81,19 +119,28 @@ fn skips(criterion: &mut Criterion) {
             "other-light",
             [(Stage::new(cornell()), "restir-di", 2), (Stage::new(cornell()), "restir-di", 3)],
         ),
+        // Kernels for diffuse triangles against such for all materials, spheres, textures, coverage and skies: one sphere of each, out of sight.
+        (
+            "scene",
+            [(Stage::new(cornell()), "restir-di", 2), (Stage::new(everything()), "restir-di", 2)],
+        ),
     ];
     for (what, sides) in pairs {
-        let mut group = criterion.benchmark_group(format!("skips/{what}"));
+        let mut group = criterion.benchmark_group(format!("{name}/{what}"));
         group.throughput(Throughput::Elements(u64::from(SIZE[0] * SIZE[1]))).sample_size(20);
         for (name, (stage, spec, depth)) in ["without", "with"].into_iter().zip(sides) {
             let technique = Arc::from(parse(spec).expect("a specification"));
             let shot =
                 Shot { size: SIZE, depth, filter: Filter::Point, run: 1, effort: 1, fps: 30 };
             let stage = stage.expect("a stage");
-            let mut frames = FrameLoop::new(technique, &stage, shot).expect("a valid shot");
+            let mut frames = FrameLoop::with_backend(technique, &stage, shot, backend)
+                .expect("a valid shot on this backend");
             frames.render().expect("a frame");
             group.bench_function(name, |bencher| {
-                bencher.iter(|| frames.render().expect("a frame").counters);
+                bencher.iter_custom(|count| {
+                    let ms = (0..count).map(|_| frames.render().expect("a frame").milliseconds());
+                    Duration::from_secs_f64(1e-3 * ms.sum::<f64>())
+                });
             });
         }
         group.finish();

@@ -18,6 +18,7 @@
 //! | [`plan`] | what a scene contains, and what a technique will therefore run and leave out |
 //! | [`techniques`] | the methods under comparison and their registry |
 //! | [`frame`] | the loop: time, buffers, history, passes; guides (albedo, normal, depth, motion) |
+//! | `gpu` | a graphics processor: adapters, kernels, the scene in its memory (feature `gpu`, on by default) |
 //! | [`stats`] | is a mean right? Tests with stated α and power, for any sampler |
 //! | [`metrics`] | how large is the error? Of one picture against another |
 //! | [`math`] | warps, random numbers, frames |

@@ -234,7 +234,10 @@ pub(super) fn run(args: &CompareArgs) -> Result<Status> {
     let results = Results {
         afterimage: env!("CARGO_PKG_VERSION").to_string(),
         commit: machine::commit(),
-        machine: machine::describe(),
+        machine: match engine.device() {
+            Some(device) => format!("{}; {device}", machine::describe()),
+            None => machine::describe(),
+        },
         command: machine::command(),
         scene: engine.scene.clone(),
         size: engine.shot.size,
@@ -578,7 +581,7 @@ fn row(
             over_budget: kind == BudgetKind::FrameTime && !meets(median, value),
         },
         claim: claim(&plan.claim),
-        backend: "cpu".to_string(),
+        backend: if contender.frames.runs_on().is_some() { "gpu" } else { "cpu" }.to_string(),
         frames: judged.frames,
         restarts: contender.restarts.count() as u32,
         ms_per_frame: FrameTime { median, p99, first: median_p99(&contender.first)[0] },

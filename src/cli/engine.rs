@@ -140,7 +140,21 @@ impl Engine {
         seed: u64,
     ) -> Result<FrameLoop> {
         let shot = Shot { effort, run: seed, ..self.shot };
-        FrameLoop::with_backend(technique.clone(), &self.stage, shot, &self.backend)
+        let frames = FrameLoop::with_backend(technique.clone(), &self.stage, shot, &self.backend)?;
+        if self.device().is_some() && frames.runs_on().is_none() {
+            let spec = technique.spec();
+            note(&format!("`{spec}` has no kernels for a graphics processor: it runs on the CPU"));
+        }
+        Ok(frames)
+    }
+
+    /// The graphics processor that frames were asked to run on.
+    pub(super) fn device(&self) -> Option<String> {
+        match &self.backend {
+            #[cfg(feature = "gpu")]
+            Backend::Gpu(gpu) => Some(gpu.info().to_string()),
+            Backend::Cpu => None,
+        }
     }
 
     /// As [`Engine::start`], on the CPU whatever runs the frames: for references, which all backends share.

@@ -117,6 +117,7 @@ impl Runner {
         world: &Arc<World>,
         (shot, moves): (Shot, bool),
     ) -> Result<Self> {
+        gpu.check()?;
         if plan.buffers.len() > MAX_BUFFERS {
             return Err(Error::gpu(format!(
                 "the plan has {} buffers, kernels address {MAX_BUFFERS}",

@@ -231,7 +231,7 @@ fn assert_equivalent(
             for _ in 0..frames {
                 let frame = frames_of.render().unwrap();
                 assert_eq!(frame.counters.non_finite + frame.counters.weights_rejected, 0);
-                shown = f64::from(frame.picture().mean_luminance());
+                shown = frame.picture().mean_luminance();
             }
             shown
         }));
@@ -283,8 +283,8 @@ fn a_small_difference_in_a_kernel_is_found() {
     for run in 0..12 {
         here.restart(run);
         there.restart(run);
-        let a = f64::from(here.render().unwrap().picture().mean_luminance());
-        let b = f64::from(there.render().unwrap().picture().mean_luminance());
+        let a = here.render().unwrap().picture().mean_luminance();
+        let b = there.render().unwrap().picture().mean_luminance();
         differences.push(b - a);
         mean += a / 12.0;
     }
@@ -396,7 +396,7 @@ fn a_disagreement_can_be_bisected() {
         for _ in 0..3 {
             frames.render().unwrap();
         }
-        pictures.push(f64::from(frames.render().unwrap().picture().mean_luminance()));
+        pictures.push(frames.render().unwrap().picture().mean_luminance());
     }
     assert!(pictures[0] > 0.0);
     for picture in &pictures {
@@ -434,4 +434,47 @@ fn hosts_move_scenes_on_both_backends() {
         let (a, b) = (a.mean_luminance(), b.mean_luminance());
         assert!(a > 0.0 && (b / a - 1.0).abs() < 2e-3, "frame {step}: {a} here, {b} there");
     }
+}
+
+/// What the device has not enough of is an error that names it, and the CPU goes on.
+#[test]
+fn too_large_a_picture_is_refused_by_name() {
+    let Some(gpu) = device() else { return };
+    let still = still();
+    let backend = Backend::Gpu(gpu);
+    let huge = shot([40_000, 40_000], 2);
+    let technique: Arc<dyn Technique> = Arc::from(parse("restir-di").unwrap());
+    let error = FrameLoop::with_backend(technique.clone(), &still, huge, &backend).unwrap_err();
+    let text = error.to_string();
+    assert!(error.is_gpu() && text.contains("the state"), "{text}");
+    let large = shot([8_000, 6_000], 2);
+    let error = FrameLoop::with_backend(technique.clone(), &still, large, &backend).unwrap_err();
+    let text = error.to_string();
+    assert!(
+        error.is_gpu() && text.contains("the frame loop's state") && text.contains("at most"),
+        "{text}"
+    );
+    FrameLoop::new(technique, &still, shot([8, 8], 2)).unwrap().render().unwrap();
+}
+
+/// A device that is gone gives errors, no panic; another loop on the CPU goes on.
+#[test]
+fn a_lost_device_is_an_error() {
+    if device().is_none() {
+        return;
+    }
+    let own = Gpu::open(None).unwrap();
+    let still = still();
+    let technique: Arc<dyn Technique> = Arc::from(parse("nee").unwrap());
+    let backend = Backend::Gpu(own.clone());
+    let mut frames =
+        FrameLoop::with_backend(technique.clone(), &still, shot([16, 16], 2), &backend).unwrap();
+    frames.render().unwrap();
+    own.device().destroy();
+    let error = frames.render().unwrap_err();
+    assert!(error.is_gpu() && error.to_string().contains(&own.info().name), "{error}");
+    assert!(frames.render().is_err(), "it stays lost");
+    let again = FrameLoop::with_backend(technique.clone(), &still, shot([16, 16], 2), &backend);
+    assert!(again.is_err_and(|error| error.is_gpu()));
+    FrameLoop::new(technique, &still, shot([8, 8], 2)).unwrap().render().unwrap();
 }

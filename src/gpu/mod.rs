@@ -175,10 +175,7 @@ impl Gpu {
         };
         let lost = note(&failure);
         device.set_device_lost_callback(move |reason, text| {
-            // Also called when a device is dropped, which is none.
-            if reason != wgpu::DeviceLostReason::Destroyed {
-                lost(format!("the device was lost: {text}"));
-            }
+            lost(format!("the device was lost ({reason:?}): {text}"));
         });
         let uncaptured = note(&failure);
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {

@@ -483,8 +483,8 @@ fn bsdf_differences(world: &World, inputs: &[u32], found: &[u32]) -> Vec<String>
         let evaluation = bsdf.evaluate(wo, wi);
         // A microfacet's density at grazing angles magnifies the last bits of the half vector.
         let tolerance = 2e-3;
-        for k in 0..3 {
-            if !near(float(f[k]), evaluation.value[k], tolerance, 1e-5) {
+        for (k, found) in f[..3].iter().enumerate() {
+            if !near(float(*found), evaluation.value[k], tolerance, 1e-5) {
                 wrong.push(format!(
                     "{i}: material {}, value {} / {}",
                     material.0,
