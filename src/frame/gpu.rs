@@ -18,6 +18,8 @@ use crate::world::World;
 
 /// Bytes before the timestamps in what is read back: room for all counters.
 const COUNTERS: u64 = 256;
+/// Frames that may be under way: one that the device works on, one that waits behind it.
+pub(super) const IN_FLIGHT: usize = 2;
 /// Alignment of what queries are written to.
 const RESOLVE: u64 = 256;
 /// The frame loop's own kernel.
@@ -66,9 +68,26 @@ pub(super) struct Runner {
     state: wgpu::Buffer,
     inputs: wgpu::Buffer,
     counters: wgpu::Buffer,
-    staging: wgpu::Buffer,
+    /// What is read back; frames under way take turns.
+    staging: [wgpu::Buffer; IN_FLIGHT],
+    /// Whose turn it is.
+    turn: usize,
     queries: Option<(wgpu::QuerySet, wgpu::Buffer)>,
     bindings: wgpu::BindGroup,
+}
+
+/// A frame under way.
+#[derive(Debug)]
+pub(super) struct Submitted {
+    staging: usize,
+    passes: Vec<usize>,
+    index: wgpu::SubmissionIndex,
+    begin: Instant,
+}
+
+/// Where the pictures begin in what is read back, in bytes.
+fn pictures(plan: &Plan) -> u64 {
+    COUNTERS + (2 * plan.passes.len() as u64 * 8).next_multiple_of(RESOLVE)
 }
 
 /// What of a frame the kernels are told.
@@ -159,11 +178,9 @@ impl Runner {
         )?;
         let stamps = 2 * plan.passes.len() as u64 * 8;
         let picture = 12 * shot.pixels() as u64;
-        let staging = gpu.buffer(
-            "what is read back",
-            COUNTERS + stamps.next_multiple_of(RESOLVE) + 2 * picture,
-            Usage::MAP_READ | Usage::COPY_DST,
-        )?;
+        let read = COUNTERS + stamps.next_multiple_of(RESOLVE) + 2 * picture;
+        let staging = |_| gpu.buffer("what is read back", read, Usage::MAP_READ | Usage::COPY_DST);
+        let staging = [staging(0)?, staging(1)?];
         let queries = if gpu.has_timestamps() && !plan.passes.is_empty() {
             let set = gpu.device().create_query_set(&wgpu::QuerySetDescriptor {
                 label: Some("passes"),
@@ -192,6 +209,7 @@ impl Runner {
             inputs,
             counters,
             staging,
+            turn: 0,
             queries,
             bindings,
         };
@@ -323,15 +341,8 @@ impl Runner {
         }
     }
 
-    /// Runs those of the plan's passes that `chosen` lists, and reads back counters, times and the two pictures.
-    pub(super) fn run(
-        &mut self,
-        chosen: &[usize],
-        plan: &Plan,
-        buffers: &mut [Buffer],
-        passes: &mut Vec<(&'static str, f64)>,
-    ) -> Result<Counters> {
-        let begin = Instant::now();
+    /// Starts those of the plan's passes that `chosen` lists, and the copies of what is read back.
+    pub(super) fn submit(&mut self, chosen: &[usize], plan: &Plan) -> Submitted {
         let mut encoder = self.encoder();
         encoder.clear_buffer(&self.counters, 0, None);
         for (number, &at) in chosen.iter().enumerate() {
@@ -350,31 +361,47 @@ impl Runner {
             pass.set_bind_group(0, &self.bindings, &[]);
             pass.dispatch_workgroups(groups[0], groups[1], 1);
         }
-        encoder.copy_buffer_to_buffer(&self.counters, 0, &self.staging, 0, Some(COUNTERS));
-        let mut read = COUNTERS;
+        let staging = &self.staging[self.turn];
+        encoder.copy_buffer_to_buffer(&self.counters, 0, staging, 0, Some(COUNTERS));
         if let Some((set, resolved)) = self.queries.as_ref().filter(|_| !chosen.is_empty()) {
             let count = 2 * chosen.len() as u32;
             encoder.resolve_query_set(set, 0..count, resolved, 0);
             let bytes = u64::from(count) * 8;
-            encoder.copy_buffer_to_buffer(resolved, 0, &self.staging, read, Some(bytes));
+            encoder.copy_buffer_to_buffer(resolved, 0, staging, COUNTERS, Some(bytes));
         }
-        read += (2 * plan.passes.len() as u64 * 8).next_multiple_of(RESOLVE);
-        let mut pictures = read;
+        let mut to = pictures(plan);
         for id in [Plan::RADIANCE, Plan::EMISSION] {
             let span = self.spans[id.0];
             let (now, _) = self.halves(&span);
-            let (from, bytes) = (4 * u64::from(now), 4 * u64::from(span.words));
-            encoder.copy_buffer_to_buffer(&self.state, from, &self.staging, pictures, Some(bytes));
-            pictures += bytes;
+            let (first, bytes) = (4 * u64::from(now), 4 * u64::from(span.words));
+            encoder.copy_buffer_to_buffer(&self.state, first, staging, to, Some(bytes));
+            to += bytes;
         }
-        self.gpu.queue().submit([encoder.finish()]);
-        let bytes = self.mapped(&self.staging, pictures)?;
-        let counted: &[u32] = bytemuck::cast_slice(&bytes[..COUNTERS as usize]);
-        let counters = Counters::from_words(counted);
-        let stamps = &bytes[COUNTERS as usize..read as usize];
+        let index = self.gpu.queue().submit([encoder.finish()]);
+        let submitted =
+            Submitted { staging: self.turn, passes: chosen.to_vec(), index, begin: Instant::now() };
+        self.turn = (self.turn + 1) % IN_FLIGHT;
+        submitted
+    }
+
+    /// Waits for a frame, and takes its counters, times and pictures.
+    pub(super) fn collect(
+        &self,
+        submitted: Submitted,
+        plan: &Plan,
+        buffers: &mut [Buffer],
+        passes: &mut Vec<(&'static str, f64)>,
+    ) -> Result<Counters> {
+        let Submitted { staging, passes: ran, index, begin } = submitted;
+        let spans = [Plan::RADIANCE, Plan::EMISSION].map(|id| self.spans[id.0].words);
+        let first = pictures(plan) as usize;
+        let total = first as u64 + spans.map(|words| 4 * u64::from(words)).iter().sum::<u64>();
+        let bytes = self.mapped(&self.staging[staging], total, Some(index))?;
+        let counters = Counters::from_words(bytemuck::cast_slice(&bytes[..COUNTERS as usize]));
         if self.queries.is_some() {
+            let stamps = &bytes[COUNTERS as usize..first];
             let period = f64::from(self.gpu.queue().get_timestamp_period());
-            for (number, &at) in chosen.iter().enumerate() {
+            for (number, &at) in ran.iter().enumerate() {
                 let stamp = |i: usize| {
                     let at = 8 * (2 * number + i);
                     u64::from_le_bytes(stamps[at..at + 8].try_into().unwrap_or_default())
@@ -382,36 +409,38 @@ impl Runner {
                 let ms = stamp(1).saturating_sub(stamp(0)) as f64 * period * 1e-6;
                 super::add_pass(passes, plan.passes[at].name, ms);
             }
-        } else if !chosen.is_empty() {
+        } else if !ran.is_empty() {
             passes.push(("all passes", begin.elapsed().as_secs_f64() * 1e3));
         }
-        let mut at = read as usize;
-        for id in [Plan::RADIANCE, Plan::EMISSION] {
-            let words = &mut buffers[id.0].current;
-            let end = at + 4 * self.spans[id.0].words as usize;
-            words.clear();
-            words.extend(
-                bytes[at..end]
-                    .chunks_exact(4)
-                    .map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])),
-            );
+        let mut at = first;
+        for (id, words) in [Plan::RADIANCE, Plan::EMISSION].into_iter().zip(spans) {
+            let end = at + 4 * words as usize;
+            let word = |b: &[u8]| u32::from_le_bytes([b[0], b[1], b[2], b[3]]);
+            let to = &mut buffers[id.0].current;
+            to.clear();
+            to.extend(bytes[at..end].chunks_exact(4).map(word));
             at = end;
         }
         Ok(counters)
     }
 
-    /// The first bytes of a buffer that can be mapped, once all that was submitted is done.
-    fn mapped(&self, buffer: &wgpu::Buffer, bytes: u64) -> Result<Vec<u8>> {
+    /// The first bytes of a buffer that can be mapped, once the submission is done; `None`: the newest one.
+    fn mapped(
+        &self,
+        buffer: &wgpu::Buffer,
+        bytes: u64,
+        submission: Option<wgpu::SubmissionIndex>,
+    ) -> Result<Vec<u8>> {
         let (sender, receiver) = std::sync::mpsc::channel();
         buffer.map_async(wgpu::MapMode::Read, ..bytes, move |outcome| {
             // Nobody waits any more where an error came first.
             let _ = sender.send(outcome);
         });
-        let failed = |why: &dyn std::fmt::Display| {
-            Error::gpu(format!("{}: reading back failed: {why}", self.gpu.info()))
-        };
+        let failed =
+            |why: &dyn std::fmt::Display| self.gpu.failed(&format!("reading back failed: {why}"));
         loop {
-            let waited = self.gpu.device().poll(wgpu::PollType::wait_indefinitely());
+            let wait = wgpu::PollType::Wait { submission_index: submission.clone(), timeout: None };
+            let waited = self.gpu.device().poll(wait);
             self.gpu.check()?;
             waited.map_err(|error| failed(&error))?;
             // Another thread's poll may be about to call back for this one.
@@ -445,7 +474,7 @@ impl Runner {
         let from = 4 * u64::from(first);
         encoder.copy_buffer_to_buffer(&self.state, from, &staging, 0, Some(bytes));
         self.gpu.queue().submit([encoder.finish()]);
-        let bytes = self.mapped(&staging, bytes)?;
+        let bytes = self.mapped(&staging, bytes, None)?;
         let word = |b: &[u8]| u32::from_le_bytes([b[0], b[1], b[2], b[3]]);
         Ok(bytes.chunks_exact(4).map(word).collect())
     }

@@ -478,3 +478,34 @@ fn a_lost_device_is_an_error() {
     assert!(again.is_err_and(|error| error.is_gpu()));
     FrameLoop::new(technique, &still, shot([8, 8], 2)).unwrap().render().unwrap();
 }
+
+/// Frames under way give what frames one by one do, on both backends; what is asked out of turn is refused.
+#[test]
+fn frames_may_be_under_way() {
+    let Some(gpu) = device() else { return };
+    let moving = moving();
+    for backend in [Backend::Cpu, Backend::Gpu(gpu)] {
+        let start = || {
+            let technique = Arc::from(parse("restir-di").unwrap());
+            FrameLoop::with_backend(technique, &moving, shot([32, 24], 2), &backend).unwrap()
+        };
+        let (mut one, mut ahead) = (start(), start());
+        assert!(ahead.finish().is_err_and(|e| e.to_string().contains("submit one first")));
+        ahead.submit().unwrap();
+        ahead.submit().unwrap();
+        assert!(ahead.submit().is_err_and(|e| e.to_string().contains("at most 2")));
+        assert!(ahead.render().is_err_and(|e| e.to_string().contains("finish them first")));
+        for index in 0..5 {
+            let wanted = one.render().unwrap();
+            let (picture, counters) = (wanted.picture(), wanted.counters);
+            let guides = wanted.guides();
+            let found = ahead.finish().unwrap();
+            assert_eq!((found.index, found.counters), (index, counters));
+            assert_eq!(found.picture().pixels, picture.pixels);
+            assert_eq!(found.guides().depth, guides.depth);
+            ahead.submit().unwrap();
+        }
+        ahead.restart(3);
+        ahead.render().unwrap();
+    }
+}

@@ -122,6 +122,12 @@ pub struct FrameLoop {
     /// Of the last frame; kept so that a frame allocates nothing.
     passes: Vec<(&'static str, f64)>,
     chosen: Vec<usize>,
+    /// Of the last frame.
+    counters: Counters,
+    /// Frames that were submitted, and not finished.
+    under_way: u32,
+    /// The worlds of the frame that was finished last.
+    shown: (Arc<World>, Option<Arc<World>>),
     #[cfg(feature = "gpu")]
     device: Option<Device>,
 }
@@ -139,8 +145,23 @@ struct Device {
     stop_after: usize,
     /// State is to be cleared before the next frame.
     restarted: bool,
+    /// Frames under way, the oldest first.
+    flights: std::collections::VecDeque<Flight>,
     /// Buffers of the last frame that were asked for.
     read: Vec<std::sync::OnceLock<Vec<u32>>>,
+}
+
+/// A frame that a graphics processor works on.
+#[cfg(feature = "gpu")]
+#[derive(Debug)]
+struct Flight {
+    index: u32,
+    /// Of what ran on the CPU.
+    counters: Counters,
+    passes: Vec<(&'static str, f64)>,
+    submitted: gpu::Submitted,
+    world: Arc<World>,
+    previous: Option<Arc<World>>,
 }
 
 /// One rendered frame, borrowed from the loop.
@@ -224,6 +245,9 @@ impl FrameLoop {
             next_frame: 0,
             passes: Vec::new(),
             chosen: Vec::new(),
+            counters: Counters::default(),
+            under_way: 0,
+            shown: (stage.first.clone(), None),
             #[cfg(feature = "gpu")]
             device,
         })
@@ -282,6 +306,7 @@ impl FrameLoop {
         self.world = self.stage.first.clone();
         self.previous = None;
         self.next_frame = 0;
+        self.under_way = 0;
         for buffer in &mut self.buffers {
             buffer.current.fill(0);
             buffer.previous.fill(0);
@@ -289,14 +314,75 @@ impl FrameLoop {
         #[cfg(feature = "gpu")]
         if let Some(device) = &mut self.device {
             device.restarted = true;
+            device.flights.clear();
         }
     }
 
     /// Renders the next frame at its own time: start + index / fps, clamped at the scene's end.
     ///
     /// # Errors
-    /// Geometry of a moving scene that no acceleration structure can be built for.
+    /// Geometry of a moving scene that no acceleration structure can be built for; a graphics processor that failed; frames that were
+    /// [submitted](FrameLoop::submit) and not finished.
     pub fn render(&mut self) -> Result<Frame<'_>> {
+        self.refuse_frames_under_way()?;
+        self.advance()?;
+        self.collect()
+    }
+
+    /// Frames that may be [submitted](FrameLoop::submit) and not finished.
+    pub const MOST_UNDER_WAY: u32 = 2;
+
+    /// Starts the next frame without waiting for it: a graphics processor works on it while the host prepares the one after. On the CPU it is rendered when
+    /// it is [finished](FrameLoop::finish).
+    ///
+    /// # Errors
+    /// As [`FrameLoop::render`]; more than [`FrameLoop::MOST_UNDER_WAY`] frames.
+    pub fn submit(&mut self) -> Result<()> {
+        if self.under_way >= Self::MOST_UNDER_WAY {
+            return Err(Error::usage(format!(
+                "{} frames are under way, at most {} are possible: finish one first",
+                self.under_way,
+                Self::MOST_UNDER_WAY
+            )));
+        }
+        if self.runs_on_device() {
+            self.advance()?;
+        }
+        self.under_way += 1;
+        Ok(())
+    }
+
+    /// Waits for the oldest frame that was submitted.
+    ///
+    /// # Errors
+    /// As [`FrameLoop::render`]; no frame that was submitted.
+    pub fn finish(&mut self) -> Result<Frame<'_>> {
+        if self.under_way == 0 {
+            return Err(Error::usage("no frame is under way: submit one first"));
+        }
+        self.under_way -= 1;
+        if !self.runs_on_device() {
+            self.advance()?;
+        }
+        self.collect()
+    }
+
+    fn refuse_frames_under_way(&self) -> Result<()> {
+        if self.under_way > 0 {
+            return Err(Error::usage("frames were submitted: finish them first"));
+        }
+        Ok(())
+    }
+
+    fn runs_on_device(&self) -> bool {
+        #[cfg(feature = "gpu")]
+        return self.device.is_some();
+        #[cfg(not(feature = "gpu"))]
+        false
+    }
+
+    /// Begins the next frame at its own time.
+    fn advance(&mut self) -> Result<()> {
         let begin = Instant::now();
         let mut moved = None;
         if self.next_frame > 0 && self.stage.facts.moves() {
@@ -320,6 +406,7 @@ impl FrameLoop {
                 "the stage was planned for a scene that moves by itself or not at all; make it with Stage::moving",
             ));
         }
+        self.refuse_frames_under_way()?;
         let begin = Instant::now();
         scene.validate()?;
         let moved = Arc::new(self.world.next(scene)?);
@@ -331,14 +418,15 @@ impl FrameLoop {
             )));
         }
         let elapsed = begin.elapsed();
-        self.step(Some(moved), Some(elapsed))
+        self.step(Some(moved), Some(elapsed))?;
+        self.collect()
     }
 
     fn step(
         &mut self,
         moved: Option<Arc<World>>,
         updated: Option<std::time::Duration>,
-    ) -> Result<Frame<'_>> {
+    ) -> Result<()> {
         let index = self.next_frame;
         let first = index == 0;
         if !first {
@@ -372,19 +460,37 @@ impl FrameLoop {
                 Runs::WithHistory => !first,
             },
         ));
+        self.next_frame = self.next_frame.wrapping_add(1);
         #[cfg(feature = "gpu")]
-        if self.device.is_some() {
-            let counters = self.run_device(motion.as_ref(), camera, index)?;
-            self.next_frame = self.next_frame.wrapping_add(1);
-            return Ok(Frame { frame_loop: self, index, counters, passes: &self.passes });
+        if let Some(mut device) = self.device.take() {
+            let outcome = self.run_on(&mut device, motion.as_ref(), camera, index);
+            self.device = Some(device);
+            return outcome;
         }
         for (buffer, plan) in self.buffers.iter_mut().zip(&self.plan.buffers) {
             if plan.history && !first {
                 std::mem::swap(&mut buffer.current, &mut buffer.previous);
             }
         }
-        let counters = self.run_passes(self.chosen.len(), motion.as_ref(), camera, index);
-        self.next_frame = self.next_frame.wrapping_add(1);
+        self.counters = self.run_passes(self.chosen.len(), motion.as_ref(), camera, index);
+        self.shown = (self.world.clone(), self.previous.clone());
+        Ok(())
+    }
+
+    /// The frame that was begun first, once it is done.
+    fn collect(&mut self) -> Result<Frame<'_>> {
+        #[cfg(feature = "gpu")]
+        if let Some(device) = &mut self.device
+            && let Some(flight) = device.flights.pop_front()
+        {
+            let Flight { index, counters, mut passes, submitted, world, previous } = flight;
+            let work =
+                device.runner.collect(submitted, &self.plan, &mut self.buffers, &mut passes)?;
+            (self.passes, self.shown) = (passes, (world, previous));
+            let counters = counters + work;
+            return Ok(Frame { frame_loop: self, index, counters, passes: &self.passes });
+        }
+        let (index, counters) = (self.next_frame.wrapping_sub(1), self.counters);
         Ok(Frame { frame_loop: self, index, counters, passes: &self.passes })
     }
 
@@ -425,20 +531,7 @@ impl FrameLoop {
         counters
     }
 
-    /// Runs the chosen passes on the graphics processor, but for those that the CPU was asked to run.
-    #[cfg(feature = "gpu")]
-    fn run_device(
-        &mut self,
-        motion: Option<&Motion>,
-        camera: CameraRays,
-        index: u32,
-    ) -> Result<Counters> {
-        let Some(mut device) = self.device.take() else { return Ok(Counters::default()) };
-        let outcome = self.run_on(&mut device, motion, camera, index);
-        self.device = Some(device);
-        outcome
-    }
-
+    /// Starts the chosen passes on the graphics processor, after those that the CPU was asked to run.
     #[cfg(feature = "gpu")]
     fn run_on(
         &mut self,
@@ -446,10 +539,10 @@ impl FrameLoop {
         motion: Option<&Motion>,
         camera: CameraRays,
         index: u32,
-    ) -> Result<Counters> {
+    ) -> Result<()> {
         #[cfg(test)]
         self.chosen.truncate(device.stop_after);
-        let Device { runner, twins, on_cpu, restarted, read, .. } = device;
+        let Device { runner, twins, on_cpu, restarted, flights, read, .. } = device;
         read.iter_mut().for_each(|buffer| drop(buffer.take()));
         if std::mem::take(restarted) {
             runner.restart(&self.world)?;
@@ -463,7 +556,12 @@ impl FrameLoop {
             index,
         };
         let moved = index > 0 && self.stage.facts.moves();
+        let begin = Instant::now();
         runner.begin(&state, moved, (twins, &self.plan))?;
+        if let Some((_, ms)) = self.passes.first_mut() {
+            // What moved has to be sent, too.
+            *ms += begin.elapsed().as_secs_f64() * 1e3;
+        }
         let here = self.chosen.len().min(*on_cpu);
         let mut counters = Counters::default();
         if here > 0 {
@@ -471,9 +569,15 @@ impl FrameLoop {
             counters = self.run_passes(here, motion, camera, index);
             runner.upload(&self.buffers);
         }
-        let work =
-            runner.run(&self.chosen[here..], &self.plan, &mut self.buffers, &mut self.passes)?;
-        Ok(counters + work)
+        flights.push_back(Flight {
+            index,
+            counters,
+            passes: std::mem::take(&mut self.passes),
+            submitted: runner.submit(&self.chosen[here..], &self.plan),
+            world: self.world.clone(),
+            previous: self.previous.clone(),
+        });
+        Ok(())
     }
 
     fn picture(&self, id: BufferId) -> Picture {
@@ -497,12 +601,15 @@ impl Frame<'_> {
     }
 
     /// What this frame left in the plan's buffer `name`, such as `reservoirs`; `None` where the plan has no such buffer, or one whose elements
-    /// are no whole number of `T`.
+    /// are no whole number of `T`, and while later frames are under way.
     #[must_use]
     pub fn buffer<T: bytemuck::Pod>(&self, name: &str) -> Option<&[T]> {
         let id = self.frame_loop.plan.buffer(name)?;
         #[cfg(feature = "gpu")]
         if let Some(device) = &self.frame_loop.device {
+            if self.frame_loop.under_way > 0 {
+                return None;
+            }
             let copy = &device.read[id.0];
             if copy.get().is_none() {
                 // A device that fails here fails in the next frame, too, which says why.
@@ -516,7 +623,7 @@ impl Frame<'_> {
     /// Albedo, normal, depth and motion through pixel centres. Traced here, in no pass's time.
     #[must_use]
     pub fn guides(&self) -> Guides {
-        let FrameLoop { world, previous, shot, .. } = self.frame_loop;
+        let FrameLoop { shown: (world, previous), shot, .. } = self.frame_loop;
         Guides::new(world, previous.as_deref(), shot.size)
     }
 
@@ -551,6 +658,7 @@ impl Device {
             #[cfg(test)]
             stop_after: usize::MAX,
             restarted: false,
+            flights: std::collections::VecDeque::new(),
             read,
         }))
     }

@@ -224,6 +224,12 @@ impl Gpu {
         &self.layout
     }
 
+    /// An error of the device, which is not to be used any more.
+    pub(crate) fn failed(&self, why: &str) -> Error {
+        locked(&self.failure).get_or_insert_with(|| why.to_string());
+        Error::gpu(format!("{}: {why}", self.info))
+    }
+
     /// Whatever went wrong since the device was opened, as an error.
     pub(crate) fn check(&self) -> Result<()> {
         match locked(&self.failure).as_ref() {
