@@ -9,6 +9,7 @@ use glam::{Vec3, Vec4};
 use crate::error::{Error, Result};
 use crate::gpu::{
     CameraRecord, Gpu, Inputs, Kernel, Links, MAX_BUFFERS, ProjectionRecord, SceneBuffers,
+    SceneConstants,
 };
 use crate::path::Counters;
 use crate::plan::{Domain, Elements, Filter, Kernel as PassKernel, Plan, Shot};
@@ -61,6 +62,10 @@ struct Span {
 pub(super) struct Runner {
     gpu: Arc<Gpu>,
     scene: Scene,
+    /// The world that the scene shows.
+    shown: Arc<World>,
+    /// What the passes' pipelines know of the scene.
+    compiled: SceneConstants,
     passes: Vec<Ready>,
     spans: Vec<Span>,
     /// Whether histories' halves are exchanged.
@@ -194,15 +199,21 @@ impl Runner {
             None
         };
         let scene = if moves {
-            Scene::Own(Box::new(SceneBuffers::new(&gpu, world, Some(world), &Links::default())?))
+            let links = Links::default();
+            Scene::Own(Box::new(SceneBuffers::new(&gpu, (world, Some(world)), &links, None)?))
         } else {
-            Scene::Shared(gpu.scene(world)?)
+            Scene::Shared(gpu.scene(world, plan.emitters)?)
         };
-        let bindings = bind(&gpu, scene.get(), &inputs, &state, &counters);
-        let mut runner = Self {
+        let compiled = *scene.get().constants();
+        let passes = compile(&gpu, twins, plan, shot, &compiled)?;
+        let bindings = gpu
+            .guarded("a loop's buffers", || bind(&gpu, scene.get(), &inputs, &state, &counters))?;
+        Ok(Self {
             gpu,
             scene,
-            passes: Vec::new(),
+            shown: world.clone(),
+            compiled,
+            passes,
             spans,
             exchanged: false,
             state,
@@ -212,25 +223,7 @@ impl Runner {
             turn: 0,
             queries,
             bindings,
-        };
-        runner.compile(twins, plan, shot)?;
-        Ok(runner)
-    }
-
-    fn compile(&mut self, twins: &[Twin], plan: &Plan, shot: Shot) -> Result<()> {
-        self.passes = plan
-            .passes
-            .iter()
-            .zip(twins)
-            .map(|(pass, twin)| {
-                let scene = self.scene.get().constants();
-                let kernel =
-                    Kernel::new(twin.entry, &twin.modules, (&twin.constants, &twin.flags), scene);
-                let pipeline = self.gpu.pipeline(&kernel)?;
-                Ok(Ready { pipeline, groups: groups(pass.domain, shot.size) })
-            })
-            .collect::<Result<_>>()?;
-        Ok(())
+        })
     }
 
     pub(super) fn gpu(&self) -> &Arc<Gpu> {
@@ -242,54 +235,79 @@ impl Runner {
         self.scene.get().bytes()
     }
 
-    /// All state is zero again, and the scene's first world is the present one.
-    pub(super) fn restart(&mut self, world: &Arc<World>) -> Result<()> {
+    /// All state is zero again, and `world` is both this frame's and the previous one's.
+    pub(super) fn restart(
+        &mut self,
+        world: &Arc<World>,
+        (twins, plan, shot): (&[Twin], &Plan, Shot),
+    ) -> Result<()> {
+        self.gpu.check()?;
+        if let Scene::Own(scene) = &mut self.scene
+            && !scene.reset(&self.gpu, world)?
+        {
+            let known = self.compiled;
+            let links = Links::default();
+            let next = SceneBuffers::new(&self.gpu, (world, Some(world)), &links, Some(&known))?;
+            self.show(next, (twins, plan, shot))?;
+        }
+        self.shown = world.clone();
         let mut encoder = self.encoder();
         encoder.clear_buffer(&self.state, 0, None);
         self.gpu.queue().submit([encoder.finish()]);
         self.exchanged = false;
-        if let Scene::Own(scene) = &mut self.scene {
-            **scene = SceneBuffers::new(&self.gpu, world, Some(world), &Links::default())?;
-            self.rebind();
-        }
         self.gpu.check()
     }
 
-    fn rebind(&mut self) {
-        self.bindings =
-            bind(&self.gpu, self.scene.get(), &self.inputs, &self.state, &self.counters);
+    /// Other arenas, and kernels that know what is in them. Nothing has changed where this fails.
+    fn show(
+        &mut self,
+        scene: SceneBuffers,
+        (twins, plan, shot): (&[Twin], &Plan, Shot),
+    ) -> Result<()> {
+        let constants = *scene.constants();
+        if constants != self.compiled {
+            self.passes = compile(&self.gpu, twins, plan, shot, &constants)?;
+            self.compiled = constants;
+        }
+        self.bindings = bind(&self.gpu, &scene, &self.inputs, &self.state, &self.counters);
+        self.scene = Scene::Own(Box::new(scene));
+        Ok(())
     }
 
     fn encoder(&self) -> wgpu::CommandEncoder {
         self.gpu.device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
     }
 
-    /// Prepares the next frame: its world takes its turn, histories are exchanged.
+    /// Prepares the next frame: its world takes its turn, histories are exchanged. Nothing has changed where this fails.
     pub(super) fn begin(
         &mut self,
         frame: &FrameState<'_>,
-        moved: bool,
         (twins, plan): (&[Twin], &Plan),
     ) -> Result<()> {
         self.gpu.check()?;
-        if frame.index > 0 {
-            self.exchanged = !self.exchanged;
-        }
-        if moved && let Scene::Own(scene) = &mut self.scene {
+        if let Scene::Own(scene) = &mut self.scene
+            && !Arc::ptr_eq(&self.shown, frame.world)
+        {
+            let how = (twins, plan, frame.shot);
             let motion = frame.motion;
             let links = Links {
                 lights: motion.and_then(|m| m.lights.as_ref()).map(|remap| remap.tables()),
                 instances: motion.and_then(|m| m.instances.as_deref()),
             };
-            if !scene.advance(&self.gpu, frame.world, &links)? {
+            if frame.index == 0 {
+                // A host's first scene is not the stage's.
+                self.restart(frame.world, how)?;
+            } else if !scene.advance(&self.gpu, frame.world, &links)? {
                 let previous = frame.previous.unwrap_or(frame.world);
-                let before = *scene.constants();
-                **scene = SceneBuffers::new(&self.gpu, frame.world, Some(previous), &links)?;
-                if before != *scene.constants() {
-                    self.compile(twins, plan, frame.shot)?;
-                }
-                self.rebind();
+                let worlds = (&**frame.world, Some(previous));
+                let known = self.compiled;
+                let next = SceneBuffers::new(&self.gpu, worlds, &links, Some(&known))?;
+                self.show(next, how)?;
             }
+            self.shown = frame.world.clone();
+        }
+        if frame.index > 0 {
+            self.exchanged = !self.exchanged;
         }
         self.write_inputs(frame);
         Ok(())
@@ -503,6 +521,35 @@ impl Runner {
             }
         }
     }
+}
+
+/// The pipelines of a plan's passes.
+fn compile(
+    gpu: &Gpu,
+    twins: &[Twin],
+    plan: &Plan,
+    shot: Shot,
+    scene: &SceneConstants,
+) -> Result<Vec<Ready>> {
+    let most = gpu.device().limits().max_compute_workgroups_per_dimension;
+    let passes = plan.passes.iter().zip(twins);
+    passes
+        .map(|(pass, twin)| {
+            let groups = groups(pass.domain, shot.size);
+            if groups[0].max(groups[1]) > most {
+                return Err(Error::gpu(format!(
+                    "pass `{}` takes {} x {} workgroups, but {} runs at most {most} a dimension",
+                    pass.name,
+                    groups[0],
+                    groups[1],
+                    gpu.info()
+                )));
+            }
+            let constants = (&twin.constants[..], &twin.flags[..]);
+            let kernel = Kernel::new(twin.entry, &twin.modules, constants, scene);
+            Ok(Ready { pipeline: gpu.pipeline(&kernel)?, groups })
+        })
+        .collect()
 }
 
 fn camera(rays: &CameraRays) -> CameraRecord {

@@ -436,6 +436,80 @@ fn hosts_move_scenes_on_both_backends() {
     }
 }
 
+/// Loops on one stage share its arenas, whatever each of them asks for: one that needs no emitters' tree leaves none out for others.
+#[test]
+fn loops_that_need_more_of_a_shared_scene_get_it() {
+    let Some(gpu) = device() else { return };
+    let still = still();
+    let backend = Backend::Gpu(gpu);
+    let start = |spec: &str, backend: &Backend| {
+        let technique = Arc::from(parse(spec).unwrap());
+        FrameLoop::with_backend(technique, &still, shot([40, 30], 2), backend).unwrap()
+    };
+    let mut first = start("nee", &backend);
+    first.render().unwrap();
+    let (mut here, mut there) = (start("ris", &Backend::Cpu), start("ris", &backend));
+    let (a, b) = (here.render().unwrap(), there.render().unwrap());
+    assert!(a.counters.emitter_rays > 0 && a.counters.emitter_rays == b.counters.emitter_rays);
+    assert!((b.picture().mean_luminance() / a.picture().mean_luminance() - 1.0).abs() < 1e-3);
+    drop(first);
+}
+
+/// A host's first scene need not be the stage's; lights, materials and skies that go come back; restarts show what they should. A scene that is refused
+/// leaves the loop where it was.
+#[test]
+fn hosts_scenes_come_and_go_on_both_backends() {
+    use crate::scene::{Color, Light, LightKind, Material, Texture, TextureKind};
+    let Some(gpu) = device() else { return };
+    let mut scene = crate::scene::generate("many-lights:20").unwrap();
+    let sky = LightKind::Environment { radiance: Vec3::splat(2.0), image: None };
+    let sky = Light { to_world: Transform::IDENTITY, kind: sky, key: 77 };
+    scene.lights.push(sky);
+    let stage = Stage::moving(scene.clone()).unwrap();
+    let start = |backend: &Backend| {
+        let technique = Arc::from(parse("restir-di").unwrap());
+        FrameLoop::with_backend(technique, &stage, shot([40, 30], 2), backend).unwrap()
+    };
+    let (mut here, mut there) = (start(&Backend::Cpu), start(&Backend::Gpu(gpu)));
+    let night = Scene { lights: Vec::new(), ..scene.clone() };
+    let mut red = night.clone();
+    red.materials[0] = Material::Diffuse { reflectance: Color::Constant(Vec3::X) };
+    let mut fewer = red.clone();
+    fewer.instances.drain(2..4);
+    // Textures in textures in textures: more than kernels hold.
+    let mut deep = scene.clone();
+    for number in 0..12 {
+        let constant = TextureKind::Constant(glam::Vec4::ONE);
+        let first = crate::scene::TextureId(0);
+        let second = crate::scene::TextureId(deep.textures.len().max(1) as u32 - 1);
+        let kind = if number == 0 { constant } else { TextureKind::Product { first, second } };
+        deep.add_texture(Texture { kind, mapping: glam::Affine2::IDENTITY });
+    }
+    for round in 0..2 {
+        for (step, now) in
+            [&night, &scene, &red, &deep, &fewer, &scene, &night, &scene].into_iter().enumerate()
+        {
+            if std::ptr::eq(now, &deep) {
+                let error = there.render_scene(now.clone()).unwrap_err();
+                assert!(
+                    error.is_gpu() && error.to_string().contains("texture 8 holds 9 values"),
+                    "{error}"
+                );
+                continue;
+            }
+            let a = here.render_scene(now.clone()).unwrap().picture();
+            let b = there.render_scene(now.clone()).unwrap().picture();
+            let (a, b) = (a.mean_luminance(), b.mean_luminance());
+            assert!(
+                a > 0.0 && (b / a - 1.0).abs() < 3e-3,
+                "round {round}, frame {step}: {a} here, {b} there"
+            );
+        }
+        here.restart(round + 5);
+        there.restart(round + 5);
+    }
+}
+
 /// What the device has not enough of is an error that names it, and the CPU goes on.
 #[test]
 fn too_large_a_picture_is_refused_by_name() {

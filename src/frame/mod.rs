@@ -429,6 +429,8 @@ impl FrameLoop {
     ) -> Result<()> {
         let index = self.next_frame;
         let first = index == 0;
+        #[cfg(feature = "gpu")]
+        let before = (self.world.clone(), self.previous.clone());
         if !first {
             self.previous = Some(self.world.clone());
         }
@@ -465,6 +467,11 @@ impl FrameLoop {
         if let Some(mut device) = self.device.take() {
             let outcome = self.run_on(&mut device, motion.as_ref(), camera, index);
             self.device = Some(device);
+            if outcome.is_err() {
+                // The loop is where it was: a frame that was refused has never been.
+                (self.world, self.previous) = before;
+                self.next_frame = index;
+            }
             return outcome;
         }
         for (buffer, plan) in self.buffers.iter_mut().zip(&self.plan.buffers) {
@@ -544,8 +551,9 @@ impl FrameLoop {
         self.chosen.truncate(device.stop_after);
         let Device { runner, twins, on_cpu, restarted, flights, read, .. } = device;
         read.iter_mut().for_each(|buffer| drop(buffer.take()));
-        if std::mem::take(restarted) {
-            runner.restart(&self.world)?;
+        if *restarted {
+            runner.restart(&self.world, (twins, &self.plan, self.shot))?;
+            *restarted = false;
         }
         let state = gpu::FrameState {
             world: &self.world,
@@ -555,9 +563,8 @@ impl FrameLoop {
             shot: self.shot,
             index,
         };
-        let moved = index > 0 && self.stage.facts.moves();
         let begin = Instant::now();
-        runner.begin(&state, moved, (twins, &self.plan))?;
+        runner.begin(&state, (twins, &self.plan))?;
         if let Some((_, ms)) = self.passes.first_mut() {
             // What moved has to be sent, too.
             *ms += begin.elapsed().as_secs_f64() * 1e3;
@@ -612,8 +619,10 @@ impl Frame<'_> {
             }
             let copy = &device.read[id.0];
             if copy.get().is_none() {
-                // A device that fails here fails in the next frame, too, which says why.
-                let _ = copy.set(device.runner.read(id.0).ok()?);
+                let words = device.runner.read(id.0);
+                // The next frame says why.
+                let words = words.map_err(|e| device.runner.gpu().failed(&e.to_string())).ok()?;
+                let _ = copy.set(words);
             }
             return bytemuck::try_cast_slice(copy.get()?).ok();
         }

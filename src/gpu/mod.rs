@@ -18,8 +18,8 @@ use std::collections::HashMap;
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
-pub(crate) use shader::Kernel;
 pub use shader::wgsl;
+pub(crate) use shader::{Kernel, SceneConstants};
 pub(crate) use upload::{CameraRecord, Inputs, Links, MAX_BUFFERS, ProjectionRecord, SceneBuffers};
 
 use crate::error::{Error, Result};
@@ -239,7 +239,7 @@ impl Gpu {
     }
 
     /// Makes something; an error of the device becomes one that says what was being made.
-    fn guarded<T>(&self, what: &str, make: impl FnOnce() -> T) -> Result<T> {
+    pub(crate) fn guarded<T>(&self, what: &str, make: impl FnOnce() -> T) -> Result<T> {
         let scopes = [
             self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory),
             self.device.push_error_scope(wgpu::ErrorFilter::Validation),
@@ -292,7 +292,8 @@ impl Gpu {
 
     /// The pipeline of a kernel, compiled once a device.
     pub(crate) fn pipeline(&self, kernel: &Kernel) -> Result<wgpu::ComputePipeline> {
-        let key = kernel.key();
+        let source = kernel.source()?;
+        let key = kernel.key(&source);
         if let Some(pipeline) = locked(&self.pipelines).get(&key) {
             return Ok(pipeline.clone());
         }
@@ -300,7 +301,7 @@ impl Gpu {
         let pipeline = self.guarded(&what, || {
             let module = self.device.create_shader_module(wgpu::ShaderModuleDescriptor {
                 label: Some(kernel.entry),
-                source: wgpu::ShaderSource::Wgsl(kernel.source().into()),
+                source: wgpu::ShaderSource::Wgsl(source.into()),
             });
             self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
                 label: Some(kernel.entry),
@@ -324,15 +325,21 @@ impl Gpu {
         locked(&self.pipelines).len()
     }
 
-    /// A still world's arenas, shared by all loops that show it.
-    pub(crate) fn scene(self: &Arc<Self>, world: &Arc<World>) -> Result<Arc<SceneBuffers>> {
+    /// A still world's arenas, shared by all loops that show it; with the emitters' tree where that is `wanted`.
+    pub(crate) fn scene(
+        self: &Arc<Self>,
+        world: &Arc<World>,
+        wanted: bool,
+    ) -> Result<Arc<SceneBuffers>> {
         let mut scenes = locked(&self.scenes);
         scenes.retain(|(world, buffers)| world.strong_count() > 0 && buffers.strong_count() > 0);
         let known =
             scenes.iter().find(|(known, _)| std::ptr::eq(known.as_ptr(), Arc::as_ptr(world)));
-        if let Some(buffers) = known.and_then(|(_, buffers)| buffers.upgrade()) {
+        let fits = |buffers: &Arc<SceneBuffers>| buffers.has_emitters() || !wanted;
+        if let Some(buffers) = known.and_then(|(_, buffers)| buffers.upgrade()).filter(fits) {
             return Ok(buffers);
         }
+        scenes.retain(|(known, _)| !std::ptr::eq(known.as_ptr(), Arc::as_ptr(world)));
         let buffers = Arc::new(SceneBuffers::still(self, world)?);
         scenes.push((Arc::downgrade(world), Arc::downgrade(&buffers)));
         Ok(buffers)

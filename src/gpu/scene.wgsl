@@ -161,8 +161,10 @@ fn count_if(counter: u32, condition: bool) {
 fn finish_counting() {
     if COUNT {
         for (var i = 0u; i < COUNTERS; i++) {
-            if work[i] != 0u {
-                atomicAdd(&counters[i], work[i]);
+            let n = work[i];
+            if n != 0u && atomicAdd(&counters[i], n) > 0xffffffffu - n {
+                // The lower word wrapped.
+                atomicAdd(&counters[COUNTERS + i], 1u);
             }
         }
     }

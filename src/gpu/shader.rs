@@ -3,6 +3,8 @@
 use std::collections::HashMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
 
+use crate::error::{Error, Result};
+
 /// WGSL that needs nothing of this crate's scene. Each text is part of a module: put together what you need and add your own.
 ///
 /// | part | needs |
@@ -55,6 +57,20 @@ pub(crate) struct SceneConstants {
 }
 
 impl SceneConstants {
+    /// What either needs.
+    pub(crate) fn or(&self, other: &Self) -> Self {
+        Self {
+            two_level: self.two_level || other.two_level,
+            quadrics: self.quadrics || other.quadrics,
+            coverage: self.coverage || other.coverage,
+            textures: self.textures || other.textures,
+            environments: self.environments || other.environments,
+            anisotropic: self.anisotropic || other.anisotropic,
+            materials: self.materials | other.materials,
+            stack: self.stack.max(other.stack),
+        }
+    }
+
     fn pairs(&self) -> Vec<Constant> {
         let flag = |b: bool| f64::from(u8::from(b));
         vec![
@@ -87,34 +103,39 @@ impl SceneConstants {
 /// Appends `text` without the parts that constants leave out, so that drivers never see them: their compilers inline everything before they drop
 /// anything, and take minutes over what is never run.
 ///
-/// Directives are comments, so a text is valid as a whole, too: `//#if NAME`, `//#if !NAME`, `//#if NAME=3|4`, `//#else`, `//#endif`. What asks
+/// Directives are comments, so a text may be valid as a whole, too: `//#if NAME`, `//#if !NAME`, `//#if NAME=3|4`, `//#else`, `//#endif`. What asks
 /// for a name without a value stays, with all of its branches.
-pub(super) fn select(text: &str, known: &HashMap<&str, f64>, out: &mut String) {
+pub(super) fn select(
+    text: &str,
+    known: &HashMap<&str, f64>,
+    out: &mut String,
+) -> std::result::Result<(), String> {
     // For each open directive: whether its lines stay, and whether its other branch does.
     let mut open: Vec<(bool, bool)> = Vec::new();
-    for line in text.lines() {
+    for (number, line) in text.lines().enumerate() {
         let directive = line.trim_start().strip_prefix("//#");
         match directive.map(|d| d.split_once(' ').unwrap_or((d, ""))) {
             Some(("if", condition)) => {
                 let holds = condition_holds(condition.trim(), known);
                 open.push((holds.unwrap_or(true), !holds.unwrap_or(false)));
             }
-            Some(("else", _)) => {
-                let last = open.last_mut().expect("an #else inside of an #if");
-                *last = (last.1, last.0);
+            Some((word @ ("else" | "endif"), _)) => {
+                let Some((stays, other)) = open.pop() else {
+                    return Err(format!("line {}: an #{word} without an #if", number + 1));
+                };
+                if word == "else" {
+                    open.push((other, stays));
+                }
             }
-            Some(("endif", _)) => {
-                open.pop().expect("an #endif after an #if");
-            }
-            Some((other, _)) => unreachable!("no directive is called {other}"),
-            None if open.iter().all(|(stays, _)| *stays) => {
+            // Other comments are comments.
+            _ if open.iter().all(|(stays, _)| *stays) => {
                 out.push_str(line);
                 out.push('\n');
             }
-            None => {}
+            _ => {}
         }
     }
-    assert!(open.is_empty(), "an #if has no #endif");
+    if open.is_empty() { Ok(()) } else { Err("an #if has no #endif".to_string()) }
 }
 
 /// `None`: not known.
@@ -158,20 +179,24 @@ impl Kernel {
     }
 
     /// The whole module, without what `//#if` leaves out.
-    pub(crate) fn source(&self) -> String {
+    ///
+    /// # Errors
+    /// An `//#else` or `//#endif` without its `//#if`, or the other way around.
+    pub(crate) fn source(&self) -> Result<String> {
         let mut text = format!("const STACK: u32 = {}u;\n\n", self.stack);
         let known: HashMap<&str, f64> = self.constants.iter().chain(&self.flags).copied().collect();
         for module in &self.modules {
-            select(module, &known, &mut text);
+            select(module, &known, &mut text)
+                .map_err(|why| Error::gpu(format!("kernel `{}`: {why}", self.entry)))?;
             text.push('\n');
         }
-        text
+        Ok(text)
     }
 
     /// Different for different kernels.
-    pub(crate) fn key(&self) -> String {
+    pub(crate) fn key(&self, source: &str) -> String {
         let mut hasher = DefaultHasher::new();
-        self.source().hash(&mut hasher);
+        source.hash(&mut hasher);
         format!("{} {:?} {:016x}", self.entry, self.constants, hasher.finish())
     }
 }

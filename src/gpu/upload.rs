@@ -177,6 +177,8 @@ struct Statics {
     words: Words,
     texels: Vec<u32>,
     srgb: u32,
+    /// Headers of all images by address: looks share them.
+    headers: HashMap<usize, u32>,
     looks: Vec<Looks>,
     /// One bit a kind of material.
     materials: u32,
@@ -202,8 +204,13 @@ impl Statics {
 
     fn add_looks(&mut self, scene: &Scene) -> Result<()> {
         let mut places = Places::default();
-        let Self { words, texels, .. } = self;
+        let Self { words, texels, headers, .. } = self;
         for image in &scene.images {
+            let address = Arc::as_ptr(image) as usize;
+            if let Some(header) = headers.get(&address) {
+                places.images.insert(address, *header);
+                continue;
+            }
             let at = texels.len() as u32;
             let format = match &image.data {
                 ImageData::Srgb8(data) => {
@@ -220,7 +227,8 @@ impl Statics {
                 }
             };
             let header = words.put([format, at, image.width, image.height]);
-            places.images.insert(Arc::as_ptr(image) as usize, header);
+            headers.insert(address, header);
+            places.images.insert(address, header);
         }
         for number in 0..scene.textures.len() {
             let mut program = Vec::new();
@@ -358,9 +366,10 @@ fn material_words(places: &Places, material: &Material, words: &mut Words) -> Ve
             let higher_at = if higher == lower {
                 lower_at
             } else {
-                words.put(rows_of(higher, alphas).iter().map(|v| v.to_bits()))
+                words.put(rows_of(higher, alphas.clone()).iter().map(|v| v.to_bits()))
             };
-            let table = [lower_at, higher_at, first, weight.to_bits()];
+            let rows = alphas.count() as u32;
+            let table = [lower_at, higher_at, first, weight.to_bits(), rows];
             let mut own = vec![eta.to_bits(), r.remap.into()];
             own.extend(table);
             (5, own, vec![C(reflectance), S(r.u), S(r.v)])
@@ -409,10 +418,11 @@ fn material_words(places: &Places, material: &Material, words: &mut Words) -> Ve
 fn coat_rows(r: Roughness) -> std::ops::RangeInclusive<usize> {
     let (Scalar::Constant(u), Scalar::Constant(v)) = (r.u, r.v) else { return 0..=NODES - 1 };
     let alpha = |x: f32| if r.remap { x.max(0.0).sqrt() } else { x.max(0.0) };
-    let mean = (alpha(u) * alpha(v)).sqrt().min(1.0);
-    let at = (mean.sqrt().sqrt() * (NODES - 1) as f32) as usize;
-    // One more on either side: the kernel's own rounding, the least roughness, smooth surfaces' row 0.
-    let first = if mean < 2e-3 { 0 } else { at.saturating_sub(1) };
+    let alphas = glam::Vec2::new(alpha(u), alpha(v));
+    let mean = crate::surface::bsdf::coat_alpha(alphas);
+    let at = (mean.min(1.0).sqrt().sqrt() * (NODES - 1) as f32) as usize;
+    // One more on either side, for the kernel's own rounding.
+    let first = at.saturating_sub(1);
     first..=(at + 2).min(NODES - 1)
 }
 
@@ -539,20 +549,36 @@ pub(crate) struct SceneBuffers {
     /// Whose turn it is.
     turn: usize,
     constants: SceneConstants,
+    emitters: bool,
+}
+
+/// What kernels must know to show a world whose looks are among `statics`.
+fn needed(world: &World, statics: &Statics) -> SceneConstants {
+    let emitters = world.emitters().map_or(0, |emitters| emitters.parts().0.stack_entries());
+    SceneConstants {
+        two_level: world.accel.is_two_level(),
+        quadrics: world.accel.has_quadrics(),
+        coverage: world.has_alpha,
+        textures: statics.textured,
+        environments: world.lights.environments().next().is_some(),
+        anisotropic: world.shapes.iter().any(|shape| shape.anisotropic),
+        materials: statics.materials,
+        stack: world.accel.stack_entries().max(emitters) as u32,
+    }
 }
 
 impl SceneBuffers {
     /// Of a world that is shown alone.
     pub(crate) fn still(gpu: &Gpu, world: &World) -> Result<Self> {
-        Self::new(gpu, world, None, &Links::default())
+        Self::new(gpu, (world, None), &Links::default(), None)
     }
 
-    /// Of a world and the one before it, with room for what comes.
+    /// Of a world and the one before it, with room for what comes. Kernels will know what both need, and what `known` says.
     pub(crate) fn new(
         gpu: &Gpu,
-        world: &World,
-        previous: Option<&World>,
+        (world, previous): (&World, Option<&World>),
         links: &Links<'_>,
+        known: Option<&SceneConstants>,
     ) -> Result<Self> {
         let statics = Statics::new(std::iter::once(world).chain(previous))?;
         let start = [
@@ -588,16 +614,13 @@ impl SceneBuffers {
         queue.write_buffer(&buffers[1], 0, bytemuck::cast_slice(&statics.arenas.geometry));
         queue.write_buffer(&buffers[2], 0, bytemuck::cast_slice(&statics.words.data));
         queue.write_buffer(&buffers[3], 0, bytemuck::cast_slice(&statics.texels));
-        let constants = SceneConstants {
-            two_level: world.accel.is_two_level(),
-            quadrics: world.accel.has_quadrics(),
-            coverage: world.has_alpha,
-            textures: statics.textured,
-            environments: world.lights.environments().next().is_some(),
-            anisotropic: world.shapes.iter().any(|shape| shape.anisotropic),
-            materials: statics.materials,
-            stack: world.accel.stack_entries().max(emitter_stack(world)) as u32,
-        };
+        let mut constants = needed(world, &statics);
+        if let Some(previous) = previous {
+            constants = constants.or(&needed(previous, &statics));
+        }
+        if let Some(known) = known {
+            constants = constants.or(known);
+        }
         let mut scene = Self {
             statics,
             buffers,
@@ -608,6 +631,7 @@ impl SceneBuffers {
             instances: now.instances,
             turn: 0,
             constants,
+            emitters: world.emitters().is_some(),
         };
         scene.write(gpu, 0, &now);
         if let Some(before) = before {
@@ -630,17 +654,21 @@ impl SceneBuffers {
         queue.write_buffer(&self.buffers[2], 4 * words, bytemuck::cast_slice(&part.words));
     }
 
-    /// The next frame's world takes its turn; the one of now becomes the previous one. False: there is no room, or things changed that are written
-    /// once; then all must be made anew.
+    /// What changes, of a world that fits what is there; `None` where it does not.
+    fn fitting(&self, world: &World, turn: usize, links: &Links<'_>) -> Result<Option<Dynamic>> {
+        let part = Dynamic::new(world, &self.statics, self.base[turn], links)?;
+        Ok(part.filter(|part| {
+            part.lengths().iter().zip(self.room).all(|(needed, room)| *needed <= room)
+                && self.constants.or(&needed(world, &self.statics)) == self.constants
+        }))
+    }
+
+    /// The next frame's world takes its turn; the one of now becomes the previous one. False, and nothing changed: there is no room, or things
+    /// changed that are written once; then all must be made anew.
     pub(crate) fn advance(&mut self, gpu: &Gpu, world: &World, links: &Links<'_>) -> Result<bool> {
         let next = 1 - self.turn;
-        let part = Dynamic::new(world, &self.statics, self.base[next], links)?;
+        let part = self.fitting(world, next, links)?;
         let Some(part) = part.filter(|_| self.base[0] != self.base[1]) else { return Ok(false) };
-        let fits = part.lengths().iter().zip(self.room).all(|(needed, room)| *needed <= room);
-        let stack = world.accel.stack_entries().max(emitter_stack(world)) as u32;
-        if !fits || stack > self.constants.stack {
-            return Ok(false);
-        }
         self.write(gpu, next, &part);
         self.records[next] = part.record;
         (self.remap, self.instances) = (part.remap, part.instances);
@@ -648,9 +676,27 @@ impl SceneBuffers {
         Ok(true)
     }
 
-    /// What kernels need not ask.
+    /// `world` is both this frame's and the previous one's. False, and nothing changed, as for [`SceneBuffers::advance`].
+    pub(crate) fn reset(&mut self, gpu: &Gpu, world: &World) -> Result<bool> {
+        let links = Links::default();
+        let parts = [self.fitting(world, 0, &links)?, self.fitting(world, 1, &links)?];
+        let [Some(first), Some(second)] = parts else { return Ok(false) };
+        self.write(gpu, 0, &first);
+        self.write(gpu, 1, &second);
+        self.records = [first.record, second.record];
+        (self.remap, self.instances) = (first.remap, first.instances);
+        self.turn = 0;
+        Ok(true)
+    }
+
+    /// What kernels must know.
     pub(crate) fn constants(&self) -> &SceneConstants {
         &self.constants
+    }
+
+    /// Whether the emitters' tree is there.
+    pub(crate) fn has_emitters(&self) -> bool {
+        self.emitters
     }
 
     /// The arenas, in the order of their bindings.
@@ -670,8 +716,4 @@ impl SceneBuffers {
         inputs.instances = self.instances;
         inputs.srgb = self.statics.srgb;
     }
-}
-
-fn emitter_stack(world: &World) -> usize {
-    world.emitters().map_or(0, |emitters| emitters.parts().0.stack_entries())
 }

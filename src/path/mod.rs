@@ -35,11 +35,13 @@ macro_rules! counters {
                 vec![$((stringify!($name), self.$name),)*]
             }
 
-            /// From words in the order of [`Counters::entries`].
+            /// From all lower words in the order of [`Counters::entries`], and all upper ones behind them.
             #[cfg(feature = "gpu")]
             pub(crate) fn from_words(words: &[u32]) -> Self {
-                let mut words = words.iter().copied().map(u64::from);
-                Self { $($name: words.next().unwrap_or(0),)* }
+                let count = [$(stringify!($name)),*].len();
+                let word = |at: usize| u64::from(words.get(at).copied().unwrap_or(0));
+                let mut numbers = (0..count).map(|at| word(at) | word(count + at) << 32);
+                Self { $($name: numbers.next().unwrap_or(0),)* }
             }
         }
 

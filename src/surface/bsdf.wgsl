@@ -289,7 +289,7 @@ fn part_at(material: u32, uv: vec2f) -> Part {
             let a = x - f32(cell);
             let lower = words[own + 2u];
             let higher = words[own + 3u];
-            let row = (cell - min(cell, words[own + 4u])) * (TABLE_NODES + 1u);
+            let row = min(cell - min(cell, words[own + 4u]), words[own + 6u] - 2u) * (TABLE_NODES + 1u);
             let next = row + TABLE_NODES + 1u;
             let b = float_word(own + 5u);
             part.rows = vec4<u32>(lower + row, lower + next, higher + row, higher + next);

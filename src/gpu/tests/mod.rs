@@ -86,7 +86,7 @@ fn run_changed(
     let harness: &'static str = Box::leak(harness.into_boxed_str());
     let own = [RESAMPLING_WGSL, VISIBILITY_WGSL, DIRECT_WGSL, harness];
     let kernel = Kernel::new("test_all", &own, (&[], &[]), scene.constants());
-    let source = change(kernel.source());
+    let source = change(kernel.source().unwrap());
     let module = gpu
         .guarded("a module under test", || {
             gpu.device().create_shader_module(wgpu::ShaderModuleDescriptor {

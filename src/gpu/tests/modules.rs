@@ -103,6 +103,48 @@ fn specs() -> Vec<String> {
     specs
 }
 
+/// Scenes that have one thing of all that can be left out, and such that lack one.
+fn one_of_each() -> Vec<SceneConstants> {
+    let mut scenes = vec![EVERYTHING, LITTLE];
+    for (mut scene, value) in [(LITTLE, true), (EVERYTHING, false)].repeat(6) {
+        let at = (scenes.len() - 2) / 2;
+        let flag = [
+            &mut scene.two_level,
+            &mut scene.quadrics,
+            &mut scene.coverage,
+            &mut scene.textures,
+            &mut scene.environments,
+            &mut scene.anisotropic,
+        ]
+        .into_iter()
+        .nth(at);
+        *flag.unwrap() = value;
+        scenes.push(scene);
+    }
+    for kind in 0..8 {
+        scenes.push(SceneConstants { materials: 1 | 1 << kind, ..LITTLE });
+        scenes.push(SceneConstants { materials: 0xFF & !(1 << kind), ..EVERYTHING });
+    }
+    scenes
+}
+
+#[test]
+fn kernels_are_valid_whatever_one_thing_a_scene_has_or_lacks() {
+    let facts = &facts()[2];
+    let shot = Shot { size: [64, 64], depth: 3, filter: Filter::Point, run: 1, effort: 1, fps: 30 };
+    for spec in ["nee", "restir-di", "restir-di:visibility=wis-cv,mutations=1"] {
+        let technique = parse(spec).unwrap();
+        let plan = technique.plan(facts, &shot);
+        for twin in twins(&*technique, &plan).unwrap() {
+            for scene in one_of_each() {
+                let how = (&twin.constants[..], &twin.flags[..]);
+                let source = Kernel::new(twin.entry, &twin.modules, how, &scene).source().unwrap();
+                parsed(&source).unwrap_or_else(|e| panic!("`{}`, {scene:?}: {e}", twin.entry));
+            }
+        }
+    }
+}
+
 /// Every kernel of every plan, for scenes with everything and with little, is valid and binds no more than every device can.
 #[test]
 fn every_kernel_of_every_plan_is_valid() {
@@ -118,7 +160,7 @@ fn every_kernel_of_every_plan_is_valid() {
                         let how = (&twin.constants[..], &twin.flags[..]);
                         let kernel = Kernel::new(twin.entry, &twin.modules, how, &scene);
                         let constants = kernel.constants.clone();
-                        kernels.entry(kernel.source()).or_insert((
+                        kernels.entry(kernel.source().unwrap()).or_insert((
                             twin.entry,
                             spec.clone(),
                             constants,
@@ -234,7 +276,7 @@ fn mismatches(source: &str) -> Vec<&'static str> {
 }
 
 fn plain() -> String {
-    Kernel::new("primary_hits", &[], (&[], &[]), &EVERYTHING).source()
+    Kernel::new("primary_hits", &[], (&[], &[]), &EVERYTHING).source().unwrap()
 }
 
 #[test]
@@ -326,10 +368,18 @@ fn directives_select_lines() {
     let text = "a\n//#if X\nb\n//#else\nc\n//#endif\n//#if Y=2|3\nd\n//#endif\n//#if !X\ne\n//#if Z\nf\n//#endif\n//#endif\n";
     let select = |pairs: &[(&str, f64)]| {
         let mut out = String::new();
-        super::super::shader::select(text, &pairs.iter().copied().collect(), &mut out);
+        super::super::shader::select(text, &pairs.iter().copied().collect(), &mut out).unwrap();
         out.replace('\n', "")
     };
     assert_eq!(select(&[("X", 1.0), ("Y", 3.0)]), "abd");
     assert_eq!(select(&[("X", 0.0), ("Y", 1.0), ("Z", 1.0)]), "acef");
     assert_eq!(select(&[]), "abcdef");
+    let refused = |text: &str| {
+        super::super::shader::select(text, &Default::default(), &mut String::new()).unwrap_err()
+    };
+    assert!(refused("a\n//#endif\n").contains("line 2: an #endif without an #if"));
+    assert!(refused("//#if X\n").contains("no #endif"));
+    let mut out = String::new();
+    super::super::shader::select("//#region\n", &Default::default(), &mut out).unwrap();
+    assert_eq!(out, "//#region\n");
 }

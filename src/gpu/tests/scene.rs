@@ -91,6 +91,7 @@ fn scene(coins: bool) -> Scene {
         Material::ThinDielectric { eta: 1.4 },
         Material::CoatedDiffuse { reflectance: color, eta: 1.5, roughness: rough(0.15, 0.15) },
         Material::CoatedDiffuse { reflectance: grey, eta: 1.33, roughness: Roughness::SMOOTH },
+        Material::CoatedDiffuse { reflectance: grey, eta: 1.4, roughness: rough(0.0, 0.5) },
         Material::CoatedDiffuse {
             reflectance: grey,
             eta: 1.7,

@@ -40,6 +40,12 @@ enum Coat {
     Rough(Ggx, RoughReflectance),
 }
 
+/// The isotropic α whose table a coat is read from; 0 where it is smooth.
+#[cfg(feature = "gpu")]
+pub(crate) fn coat_alpha(alpha: Vec2) -> f32 {
+    Ggx::new(alpha).map_or(0.0, |ggx| ggx.mean_alpha())
+}
+
 impl Coated {
     pub(super) fn new(reflectance: Vec3, eta: f32, alpha: Vec2) -> Self {
         // A coat is denser than what surrounds it.

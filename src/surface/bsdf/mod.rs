@@ -34,6 +34,8 @@ use lambert::{Diffuse, DiffuseTransmission};
 use metallic::Metallic;
 
 #[cfg(feature = "gpu")]
+pub(crate) use coated::coat_alpha;
+#[cfg(feature = "gpu")]
 pub(crate) use interface::{NODES, index_cell, rows_of};
 pub use metallic::MetallicRoughness;
 

@@ -44,7 +44,8 @@ const BOILING: f32 = 10.0;
 
 /// Factor on the boiling filter's mean at a strength above 0.
 pub(super) fn boiling_limit(strength: f32) -> f32 {
-    BOILING / strength - (BOILING - 1.0)
+    // Of a strength that is nearly 0 no limit, but a number.
+    (BOILING / strength - (BOILING - 1.0)).min(f32::MAX)
 }
 
 /// Runs a kernel over a band.
