@@ -198,6 +198,17 @@ fn scene(coins: bool) -> Scene {
             Shape { emission: Some(emission), alpha, ..Shape::new(geometry, MaterialId(4)) };
         scene.add_shape(shape);
     }
+    // A lookup of each texture, so that every wrap mode and encoding is compared.
+    for number in 0..scene.textures.len() as u32 {
+        let geometry = Geometry::Disk {
+            center: Vec3::new(number as f32 - 4.0, -3.0, 2.0),
+            normal: Vec3::Y,
+            radius: 0.3,
+        };
+        let emission = lamp(Color::Texture(crate::scene::TextureId(number)), false);
+        let shape = Shape { emission: Some(emission), ..Shape::new(geometry, MaterialId(0)) };
+        scene.add_shape(shape);
+    }
     let turned =
         Affine3A::from_rotation_translation(Quat::from_rotation_x(0.7), Vec3::new(0.5, 2.0, -1.0));
     let spot = |falloff| LightKind::Spot {
