@@ -1,8 +1,8 @@
 //! One technique on one scene against a reference: how many restarts, two stages, a verdict.
 //!
-//! 1. A pilot of [`PILOT`] restarts says how much the means vary, and how long a frame takes. From that follows how many restarts
-//!    the first stage needs at each age: young frames vary most and cost least, so most restarts end early. The pilot is never tested, so
-//!    this choice costs nothing of any α.
+//! 1. A pilot of [`PILOT`] restarts says how long a frame takes, one of as many more as time allows how much the means vary. From that
+//!    follows how many restarts the first stage needs at each age: young frames vary most and cost least, so most restarts end early. The
+//!    pilots are never tested, so this choice costs nothing of any α.
 //! 2. First stage. All parts ([`crate::stats::agreement`]) of all ages are judged together. A pass ends the trial.
 //! 3. Otherwise the second stage decides: fresh seeds, four times as many restarts. It comes first where time allows less than half of what
 //!    the first stage needs.
@@ -13,6 +13,8 @@
 use std::sync::Arc;
 use std::time::Instant;
 
+use rayon::prelude::*;
+
 use super::args::ReferenceArgs;
 use super::engine::{self, Engine};
 use super::progress::Progress;
@@ -20,13 +22,23 @@ use super::reference::{self, Made};
 use super::seeds::{Part as Seeds, seed};
 use super::{bias, note};
 use crate::Result;
+use crate::frame::FrameLoop;
+use crate::picture::Picture;
 use crate::plan::Plan;
 use crate::report::{CacheKey, Reference};
 use crate::stats::{self, Part, Place, Quantity, Restarts, Tolerance, Verdict, agreement};
 use crate::techniques::Technique;
 
-/// Restarts of the pilot.
+/// Restarts of the pilots, at least and at most: rare bright ones say most of how much the means vary.
 const PILOT: u32 = 8;
+const LONG_PILOT: u32 = 64;
+/// Of a trial's time, what the long pilot may take.
+const PILOT_SHARE: f64 = 0.05;
+/// Pixels up to which each thread renders restarts of its own. Threads that share a frame wait for each other after every pass, which costs a
+/// fifth of the time with 64 × 64 pixels; larger pictures have tasks enough, and a loop a thread would fill the caches.
+const PIXELS_APART: usize = 1 << 15;
+/// Bytes of pictures that may wait to be counted.
+const WAITING: usize = 1 << 26;
 /// Fewer restarts leave Student's quantiles wide, and a skewness unseen that would shift them.
 const FEWEST: u32 = 64;
 /// Level at which the first stage calls a difference certain, which only the second may confirm.
@@ -62,6 +74,13 @@ pub(super) struct Settings<'a> {
     pub against: &'a str,
     /// Where references come from.
     pub reference: &'a ReferenceArgs,
+}
+
+impl Settings<'_> {
+    /// The last frame that is judged.
+    fn longest(&self) -> u32 {
+        self.ages.last().copied().unwrap_or(1)
+    }
 }
 
 /// References that trials of one run share.
@@ -209,11 +228,10 @@ pub(super) fn run(
     mut shown: impl FnMut(&Judged, &[Arc<Made>]) -> Result<()>,
 ) -> Result<Outcome> {
     let plan = engine.plan(&**technique);
-    let begin = Instant::now();
-    let pilot =
-        restarts(engine, technique, settings, Seeds::Pilot, &Counts::all(settings.ages, PILOT))?;
-    let all = Counts::all(settings.ages, PILOT).frames(settings.ages);
-    let a_frame = begin.elapsed().as_secs_f64() / all as f64;
+    let (_, a_frame) = pilot(engine, technique, settings, PILOT)?;
+    let length = PILOT_SHARE * settings.seconds / (a_frame * f64::from(settings.longest()));
+    let length = (length as u32).clamp(PILOT, LONG_PILOT);
+    let (pilot, a_frame) = pilot(engine, technique, settings, length)?;
 
     let moving = engine.stage.facts().moves();
     let made = settings.ages[..if moving { settings.ages.len() } else { 1 }]
@@ -263,6 +281,19 @@ pub(super) fn run(
     Ok(Outcome { plan, stages })
 }
 
+/// A pilot with `count` restarts, and the seconds that a frame took.
+fn pilot(
+    engine: &Engine,
+    technique: &Arc<dyn Technique>,
+    settings: &Settings<'_>,
+    count: u32,
+) -> Result<(Vec<Restarts>, f64)> {
+    let begin = Instant::now();
+    let counts = Counts::all(settings.ages, count);
+    let found = restarts(engine, technique, settings, Seeds::Pilot, &counts)?;
+    Ok((found, begin.elapsed().as_secs_f64() / counts.frames(settings.ages) as f64))
+}
+
 /// Restarts that reach each age: never more than reach the one before.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Counts(Vec<u32>);
@@ -292,6 +323,11 @@ impl Counts {
         Self(self.0.iter().map(|count| count.saturating_mul(factor)).collect())
     }
 
+    /// How many ages the restart of this number reaches.
+    fn reached(&self, index: u32) -> usize {
+        self.0.iter().take_while(|count| index < **count).count()
+    }
+
     /// Frames to render in all.
     fn frames(&self, ages: &[u32]) -> u64 {
         let next = self.0[1..].iter().chain(&[0]);
@@ -307,7 +343,8 @@ impl Counts {
     }
 }
 
-/// Independent restarts, looked at at every age that they reach.
+/// Independent restarts, looked at at every age that they reach. They are counted in the order of their numbers, so that sums are the same
+/// for any number of threads.
 fn restarts(
     engine: &Engine,
     technique: &Arc<dyn Technique>,
@@ -315,32 +352,67 @@ fn restarts(
     part: Seeds,
     counts: &Counts,
 ) -> Result<Vec<Restarts>> {
+    let total = counts.0[0];
     let mut found = Vec::new();
     for _ in settings.ages {
         found.push(bias::restarts(engine.shot.size)?);
     }
-    let progress = Progress::new("restarts", u64::from(counts.0[0]));
+    let progress = Progress::new("restarts", u64::from(total));
     progress.say(&technique.spec());
-    let mut frames = engine.start(technique, settings.effort, 0)?;
-    for index in 0..counts.0[0] {
-        frames.restart(seed(settings.run, part, settings.number, index));
-        let reached = counts.0.iter().take_while(|count| index < **count).count();
-        let mut done = 0;
-        for (restarts, &age) in found.iter_mut().zip(&settings.ages[..reached]) {
-            while done + 1 < age {
-                engine::next(&mut frames)?;
-                done += 1;
+    let pixels = engine.shot.pixels();
+    let apart = engine.device().is_none() && pixels <= PIXELS_APART;
+    let threads = if apart { rayon::current_num_threads().min(total as usize) } else { 1 };
+    let mut loops = Vec::new();
+    for _ in 0..threads.max(1) {
+        loops.push(engine.start(technique, settings.effort, 0)?);
+    }
+    let waiting = loops.len() * settings.ages.len() * pixels * size_of::<glam::Vec3>();
+    let each = (WAITING / waiting).clamp(1, 8);
+    let mut next = 0;
+    while next < total {
+        let batch = next..total.min(next + (each * loops.len()) as u32);
+        // Restart i belongs to loop i modulo their number: fewer and fewer reach the later ages, so neighbours take the same time.
+        let rendered = loops
+            .par_iter_mut()
+            .enumerate()
+            .map(|(at, frames)| {
+                let own = batch.clone().skip(at).step_by(threads.max(1));
+                own.map(|index| {
+                    frames.restart(seed(settings.run, part, settings.number, index));
+                    looks(frames, &settings.ages[..counts.reached(index)])
+                })
+                .collect()
+            })
+            .collect::<Result<Vec<Vec<_>>>>()?;
+        for index in 0..batch.len() {
+            let pictures = &rendered[index % loops.len()][index / loops.len()];
+            for (restarts, picture) in found.iter_mut().zip(pictures) {
+                restarts.push(&picture.pixels)?;
             }
-            restarts.push(&engine::next(&mut frames)?.picture().pixels)?;
-            done += 1;
+            progress.step();
         }
-        progress.step();
+        next = batch.end;
     }
     let bad: u64 = found.iter().map(Restarts::not_finite).sum();
     if bad > 0 {
         note(&format!("warning: {bad} pixels of `{}` are not finite", technique.spec()));
     }
     Ok(found)
+}
+
+/// The pictures of a restart at `ages`.
+fn looks(frames: &mut FrameLoop, ages: &[u32]) -> Result<Vec<Picture>> {
+    let mut done = 0;
+    ages.iter()
+        .map(|&age| {
+            while done + 1 < age {
+                engine::next(frames)?;
+                done += 1;
+            }
+            done += 1;
+            Ok(engine::next(frames)?.picture())
+        })
+        .collect()
 }
 
 /// Restarts after which every part is as certain as [`RESTART_ERROR`] asks for.
@@ -360,7 +432,7 @@ fn needed<'a>(
                 most = most.max(error * error);
             }
         }
-        wanted.push((f64::from(PILOT) * most).ceil().min(1e9) as u32);
+        wanted.push((restarts.count() as f64 * most).ceil().min(1e9) as u32);
     }
     Ok(Counts::wanted(wanted))
 }
@@ -411,7 +483,6 @@ pub(super) fn place(part: &Part) -> String {
 mod tests {
     use super::super::motion::{self, Motion};
     use super::*;
-    use crate::picture::Picture;
     use crate::plan::Shot;
     use crate::techniques::{Band, FrameInputs};
     use glam::Vec3;
@@ -535,8 +606,8 @@ mod tests {
         }
     }
 
-    /// Light, camera and references of a moving scene, for a technique; δ = 5 %, ages 1 and 3. The light moves by an eighth of its side a frame.
-    fn moving_light(technique: &Arc<dyn Technique>) -> Outcome {
+    /// Small pictures of the penumbra, whose light moves by an eighth of its side a frame.
+    fn penumbra() -> Engine {
         let scene = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/penumbra.pbrt");
         let scene = crate::scene::load::load(&scene).unwrap().scene;
         let scene = motion::only(&scene, Motion::Light, 0.2).unwrap();
@@ -544,7 +615,12 @@ mod tests {
         let shot = Shot { size: [16, 16], depth: 2, filter, run: 1, effort: 1, fps: 30 };
         let stage = crate::frame::Stage::new(scene).unwrap();
         let backend = crate::frame::Backend::Cpu;
-        let engine = Engine { scene: "x".into(), name: "x".into(), stage, shot, backend };
+        Engine { scene: "x".into(), name: "x".into(), stage, shot, backend }
+    }
+
+    /// A trial of a technique where the light moves; δ = 5 %, ages 1 and 3, a reference for each.
+    fn moving_light(technique: &Arc<dyn Technique>) -> Outcome {
+        let engine = penumbra();
         let cache = std::env::temp_dir().join(format!("afterimage-trial-{}", std::process::id()));
         let args =
             ReferenceArgs { reference: None, reference_time: 4.0, cache: Some(cache.clone()) };
@@ -580,5 +656,41 @@ mod tests {
         // At the cold start there is no frame before.
         assert_ne!(late.last().ages[0].verdict(), Verdict::Fail);
         assert_eq!(late.last().ages[1].verdict(), Verdict::Fail);
+    }
+
+    #[test]
+    fn restarts_are_counted_alike_by_any_number_of_threads() {
+        let engine = penumbra();
+        let technique = engine::technique("restir-di").unwrap();
+        let args = ReferenceArgs { reference: None, reference_time: 1.0, cache: None };
+        let bits = |threads: usize, run: u64| -> Vec<[u64; 2]> {
+            let settings = Settings {
+                ages: &[1, 3],
+                effort: 1,
+                delta: 0.05,
+                restarts: None,
+                most: 1000,
+                seconds: 1.0,
+                confirm: true,
+                run,
+                number: 0,
+                against: "nee",
+                reference: &args,
+            };
+            let counts = Counts(vec![37, 21]);
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let found = pool
+                .install(|| restarts(&engine, &technique, &settings, Seeds::Restart, &counts))
+                .unwrap();
+            assert_eq!([found[0].count(), found[1].count()], [37, 21]);
+            let moments = |restarts: &Restarts| {
+                let luminance = restarts.luminance();
+                [luminance.mean(), luminance.variance()].map(f64::to_bits)
+            };
+            found.iter().map(moments).collect()
+        };
+        let one = bits(1, 1);
+        assert!(bits(3, 1) == one && bits(64, 1) == one);
+        assert_ne!(bits(3, 2), one, "other seeds must differ");
     }
 }
