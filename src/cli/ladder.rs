@@ -87,7 +87,7 @@ const MOVING: [&str; 2] = ["scenes/penumbra.pbrt", "scenes/moving.pbrt"];
 const DEPTH: u32 = 2;
 /// Of a quick ladder.
 const QUICK_MINUTES: f64 = 7.0;
-/// Of a rung's time, what its references may take where the ladder's time is limited.
+/// Of a rung's time, what its references may take where the ladder's time is limited; what they leave is for restarts.
 const REFERENCE_SHARE: f64 = 0.3;
 
 /// A rung on a scene.
@@ -133,7 +133,8 @@ pub(super) fn run(args: &VerifyArgs) -> Result<Status> {
         let share = REFERENCE_SHARE * seconds / ages.len() as f64;
         reference.reference_time = reference.reference_time.min(share.max(1.0));
         let settings = Settings {
-            seconds: (1.0 - REFERENCE_SHARE) * seconds,
+            seconds,
+            all_in: true,
             confirm: claim == Claim::Unbiased,
             number: task.number,
             reference: &reference,

@@ -64,6 +64,8 @@ pub(super) struct Settings<'a> {
     pub most: u32,
     /// Seconds that restarts may take in all, as the pilot's clock says.
     pub seconds: f64,
+    /// Whether these are for pilots and references, too.
+    pub all_in: bool,
     /// Whether a second stage follows a first one that is no pass.
     pub confirm: bool,
     /// Seed of the run.
@@ -228,6 +230,7 @@ pub(super) fn run(
     mut shown: impl FnMut(&Judged, &[Arc<Made>]) -> Result<()>,
 ) -> Result<Outcome> {
     let plan = engine.plan(&**technique);
+    let begin = Instant::now();
     let (_, a_frame) = pilot(engine, technique, settings, PILOT)?;
     let length = PILOT_SHARE * settings.seconds / (a_frame * f64::from(settings.longest()));
     let length = (length as u32).clamp(PILOT, LONG_PILOT);
@@ -241,7 +244,8 @@ pub(super) fn run(
         .collect::<Result<Vec<_>>>()?;
     let of_age = |at: usize| &made[at.min(made.len() - 1)].reference;
 
-    let affordable = |share: f64| share * settings.seconds / a_frame;
+    let spent = if settings.all_in { begin.elapsed().as_secs_f64() } else { 0.0 };
+    let affordable = |share: f64| share * (settings.seconds - spent).max(0.0) / a_frame;
     let (wanted, counts) = match settings.restarts {
         Some(count) => {
             let all = Counts::all(settings.ages, count);
@@ -553,6 +557,7 @@ mod tests {
                 restarts: None,
                 most: 1000,
                 seconds: f64::INFINITY,
+                all_in: false,
                 confirm: true,
                 run: 1,
                 number: 0,
@@ -631,6 +636,7 @@ mod tests {
             restarts: None,
             most: 1000,
             seconds: f64::INFINITY,
+            all_in: false,
             confirm: true,
             run: 1,
             number: 0,
@@ -671,6 +677,7 @@ mod tests {
                 restarts: None,
                 most: 1000,
                 seconds: 1.0,
+                all_in: false,
                 confirm: true,
                 run,
                 number: 0,

@@ -150,6 +150,7 @@ impl VerifyArgs {
             restarts: self.restarts,
             most: 1 << 15,
             seconds: if self.quick { 60.0 } else { 1200.0 },
+            all_in: false,
             confirm: true,
             run: self.picture.seed,
             number: 0,
