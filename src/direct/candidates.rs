@@ -2,12 +2,13 @@
 
 use bytemuck::{Pod, Zeroable};
 use glam::{Vec2, Vec3};
+use pulp::{Arch, NullaryFnOnce};
 
 use super::{LightMeasure, Receiver, Sight};
 use crate::accel::Ray;
-use crate::light::{EmitterPoint, LightPoint};
-use crate::math::luminance;
+use crate::light::{EmitterPoint, EmitterPoints, LightPoint, NO_LIGHT};
 use crate::math::rng::{BLOCK_LIGHT, BLOCK_SCATTER, PathSeeds, RandomSource, draw4, unit_float};
+use crate::math::{LANES, Lanes, luminances};
 use crate::path::Counters;
 use crate::resampling::{Finished, Plain, Reservoir};
 use crate::world::World;
@@ -16,11 +17,11 @@ use crate::world::World;
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 #[repr(C)]
 pub struct TileEntry {
-    emitter: EmitterPoint,
-    light: u32,
-    uv: [f32; 2],
+    pub(super) emitter: EmitterPoint,
+    pub(super) light: u32,
+    pub(super) uv: [f32; 2],
     /// In the light's measure, the choice of the light included; 0: emits nothing.
-    density: f32,
+    pub(super) density: f32,
 }
 
 /// Entries of a tile: 15 KB, so that a tile stays in the nearest cache.
@@ -99,48 +100,17 @@ pub fn candidates(
         // A host may switch off all lights of a scene that was planned with some.
         return None;
     }
-    let (light_share, bsdf_share) =
+    let shares @ (light_share, bsdf_share) =
         ((from.lights * from.rounds) as f32, (from.bsdf * from.rounds) as f32);
-    let mut words = [0; 4];
-    for candidate in 0..from.lights * from.rounds {
-        counters.candidates += 1;
-        let (offered, emitter, known) = match from.tile {
-            Some(tile) => {
-                // An entry takes one word: four candidates share a draw.
-                let word = (candidate % 4) as usize;
-                if word == 0 {
-                    words = draw4(seeds.seed(first + candidate), 0, BLOCK_LIGHT);
-                }
-                let at = (u64::from(words[word]) * tile.len() as u64) >> 32;
-                let entry = &tile[at as usize];
-                if entry.density == 0.0 {
-                    continue;
-                }
-                let point = LightPoint { light: entry.light, uv: Vec2::from(entry.uv) };
-                (Offered { point, drawn: false }, entry.emitter, Some(entry.density))
-            }
-            None => {
-                words = draw4(seeds.seed(first + candidate), 0, BLOCK_LIGHT);
-                let light = lights.choose(words[0], words[1]);
-                let uv = Vec2::new(unit_float(words[2]), unit_float(words[3]));
-                let emitter = lights.emitter_towards(scene, light, surface.position, uv);
-                let Some(emitter) = emitter else { continue };
-                (Offered { point: LightPoint { light, uv }, drawn: true }, emitter, None)
-            }
-        };
-        let Some(arrival) = emitter.towards(lights, surface.position) else { continue };
-        let scattered = surface.bsdf.evaluate(*outgoing, surface.frame.to_local(arrival.direction));
-        let target = luminance(scattered.value * arrival.radiance);
-        if target <= 0.0 {
-            continue;
-        }
-        let density = known.unwrap_or_else(|| {
-            lights.density_towards(offered.point, surface.position, arrival.geometry)
-        });
-        let bsdf_density = scattered.pdf * arrival.geometry;
-        let weight = target / (light_share * density + bsdf_share * bsdf_density);
-        reservoir.stream(offered, weight, (), selection);
-    }
+    Arch::new().dispatch(LightSamples {
+        receiver,
+        from,
+        numbers: (seeds, first),
+        shares,
+        reservoir: &mut reservoir,
+        selection,
+    });
+    counters.candidates += u64::from(from.lights * from.rounds);
     for candidate in 0..from.bsdf * from.rounds {
         let number = first + from.lights * from.rounds + candidate;
         let words = draw4(seeds.seed(number), 0, BLOCK_SCATTER);
@@ -184,6 +154,97 @@ pub fn candidates(
         let (sight, emitter) = receiver.look(point)?;
         Some(Chosen { point, emitter, sight, weight_sum: reservoir.weight_sum() })
     })
+}
+
+/// Streams a receiver's light samples, [`LANES`] at a time.
+struct LightSamples<'a, 'r, R> {
+    receiver: &'a Receiver<'r>,
+    from: &'a Candidates<'a>,
+    /// The pixel's seeds, and the first candidate's number.
+    numbers: (PathSeeds, u32),
+    /// Light samples and BSDF samples in all.
+    shares: (f32, f32),
+    reservoir: &'a mut Plain<Offered>,
+    selection: &'a mut R,
+}
+
+impl<R: RandomSource> NullaryFnOnce for LightSamples<'_, '_, R> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self { receiver, from, numbers: (seeds, first), shares, reservoir, selection } = self;
+        let (lights, scene) = (&receiver.world().lights, &*receiver.world().scene);
+        let (surface, outgoing) = receiver.surface();
+        let count = from.lights * from.rounds;
+        let mut words = [0; 4];
+        for start in (0..count).step_by(LANES) {
+            let lanes = LANES.min((count - start) as usize);
+            let mut emitters = EmitterPoints::DARK;
+            let mut density = Lanes::ZERO;
+            // Of the tile's entries, or of the light table.
+            let mut entries = [0; LANES];
+            let mut points = [LightPoint { light: NO_LIGHT, uv: Vec2::ZERO }; LANES];
+            match from.tile {
+                Some(tile) => {
+                    for lane in 0..lanes {
+                        // An entry takes one word: four candidates share a draw.
+                        if lane % 4 == 0 {
+                            words = draw4(seeds.seed(first + start + lane as u32), 0, BLOCK_LIGHT);
+                        }
+                        let at = (u64::from(words[lane % 4]) * tile.len() as u64) >> 32;
+                        let entry = &tile[at as usize];
+                        emitters.set(lane, &entry.emitter);
+                        density.0[lane] = entry.density;
+                        entries[lane] = at as u32;
+                    }
+                }
+                None => {
+                    for (lane, point) in points.iter_mut().enumerate().take(lanes) {
+                        words = draw4(seeds.seed(first + start + lane as u32), 0, BLOCK_LIGHT);
+                        let light = lights.choose(words[0], words[1]);
+                        let uv = Vec2::new(unit_float(words[2]), unit_float(words[3]));
+                        *point = LightPoint { light, uv };
+                        if let Some(emitter) =
+                            lights.emitter_towards(scene, light, surface.position, uv)
+                        {
+                            emitters.set(lane, &emitter);
+                        }
+                    }
+                }
+            }
+            let arrivals = emitters.towards(lights, surface.position);
+            let wi = surface.frame.lanes_to_local(arrivals.direction);
+            let (value, pdf) = surface.bsdf.evaluate_lanes(*outgoing, &wi, arrivals.lit());
+            let target = luminances(value.times(arrivals.radiance));
+            if from.tile.is_none() {
+                for (lane, point) in points.iter().enumerate().take(lanes) {
+                    if target.0[lane] > 0.0 {
+                        let geometry = arrivals.geometry.0[lane];
+                        density.0[lane] =
+                            lights.density_towards(*point, surface.position, geometry);
+                    }
+                }
+            }
+            let both = density * shares.0 + pdf * arrivals.geometry * shares.1;
+            let weight = target / both;
+            for lane in 0..lanes {
+                // Written so that NaN is offered, and counted.
+                if target.0[lane] <= 0.0 {
+                    continue;
+                }
+                let offered = match from.tile {
+                    Some(tile) => {
+                        let entry = &tile[entries[lane] as usize];
+                        let point = LightPoint { light: entry.light, uv: Vec2::from(entry.uv) };
+                        Offered { point, drawn: false }
+                    }
+                    None => Offered { point: points[lane], drawn: true },
+                };
+                reservoir.stream(offered, weight.0[lane], (), selection);
+            }
+        }
+    }
 }
 
 impl Chosen {

@@ -7,11 +7,13 @@ use glam::{Affine3A, Quat, Vec2, Vec3};
 use super::*;
 use crate::accel::{AcceptAll, BuildOptions, HitFilter, Ray};
 use crate::light::{LightPoint, LightRemap, NO_LIGHT};
-use crate::math::rng::{BLOCK_LIGHT, BLOCK_SCATTER, RandomSource, Stream, draw4, unit_float};
+use crate::math::rng::{
+    BLOCK_LIGHT, BLOCK_SCATTER, PathSeeds, RandomSource, Stream, draw4, unit_float,
+};
 use crate::path::Counters;
 use crate::resampling::laws::check_shift;
 use crate::resampling::{
-    Mutator, Plain, Proposal, Reservoir, ShiftMap, Shifted, metropolis, mutated_weight,
+    Finished, Mutator, Plain, Proposal, Reservoir, ShiftMap, Shifted, metropolis, mutated_weight,
 };
 use crate::scene::{
     Color, ConductorColor, EnvironmentMapping, Geometry, Image, ImageData, Light, LightKind,
@@ -471,7 +473,7 @@ fn candidates_have_contribution_weights_on_seen_and_on_occluded_light_points() {
         let receiver = receiver(&world, Vec3::ZERO, Time::Now);
         let sources = Candidates { lights: 3, bsdf: 2, rounds: 1, tile: None, surfaces: true };
         let found = contribution_weights(&receiver, |run| {
-            let seeds = crate::math::rng::PathSeeds::new(run, 0, 0);
+            let seeds = PathSeeds::new(run, 0, 0);
             let mut selection = Stream::from_key(run);
             let chosen = candidates(
                 &receiver,
@@ -575,4 +577,105 @@ fn who_is_outside_a_hollow_light_sees_its_near_cap_alone() {
         }
         assert!((100..900).contains(&near));
     }
+}
+
+/// The light samples of [`candidates`], one at a time: what the vector form must give to the bit.
+fn one_at_a_time(
+    receiver: &Receiver<'_>,
+    from: &Candidates<'_>,
+    (seeds, first): (PathSeeds, u32),
+    random: &mut Stream,
+) -> Plain<LightPoint> {
+    let world = receiver.world();
+    let lights = &world.lights;
+    let (surface, _) = receiver.surface();
+    let mut reservoir = Plain::default();
+    for i in 0..from.lights * from.rounds {
+        let (point, emitter, density) = match from.tile {
+            Some(tile) => {
+                let words = draw4(seeds.seed(first + i / 4 * 4), 0, BLOCK_LIGHT);
+                let at = (u64::from(words[i as usize % 4]) * tile.len() as u64) >> 32;
+                let TileEntry { emitter, light, uv, density } = tile[at as usize];
+                (LightPoint { light, uv: uv.into() }, Some(emitter), Some(density))
+            }
+            None => {
+                let [a, b, u, v] = draw4(seeds.seed(first + i), 0, BLOCK_LIGHT);
+                let (light, uv) = (lights.choose(a, b), Vec2::new(unit_float(u), unit_float(v)));
+                let emitter = lights.emitter_towards(&world.scene, light, surface.position, uv);
+                (LightPoint { light, uv }, emitter, None)
+            }
+        };
+        let Some(sight) = emitter.and_then(|emitter| receiver.sight(&emitter)) else { continue };
+        let density = density.unwrap_or_else(|| {
+            lights.density_towards(point, surface.position, sight.arrival.geometry)
+        });
+        let both = (from.lights * from.rounds) as f32 * density
+            + (from.bsdf * from.rounds) as f32 * sight.bsdf_density;
+        reservoir.stream(point, sight.target() / both, (), random);
+    }
+    reservoir
+}
+
+#[test]
+fn candidates_side_by_side_are_those_of_one_at_a_time() {
+    let mut scenes = Vec::new();
+    for material in [lambert(), glossy()] {
+        let mut hollow = scene(material, false);
+        for object in &mut hollow.objects {
+            for shape in &mut Arc::make_mut(object).shapes {
+                if let Some(emission) = &mut shape.emission {
+                    emission.two_sided = true;
+                }
+            }
+        }
+        scenes.extend([scene(material, false), hollow]);
+    }
+    let mut chosen = 0;
+    for scene in scenes {
+        let world = world(scene);
+        let mut counters = Counters::default();
+        let mut words = Stream::from_key(5);
+        let tile: Vec<TileEntry> = (0..TILE)
+            .map(|_| {
+                let words = std::array::from_fn(|_| words.word());
+                fill_tile(&world, words, &mut counters)
+            })
+            .collect();
+        for place in 0..40 {
+            let at = Vec3::new(0.07 * place as f32 - 0.9, 0.0, 0.05 * place as f32 - 1.0);
+            let receiver = receiver(&world, at, Time::Now);
+            let numbers = (PathSeeds::new(1, place, 2), 3);
+            for tile in [None, Some(tile.as_slice())] {
+                for count in [1, 3, 8, 13, 24] {
+                    let from =
+                        Candidates { lights: count, bsdf: 0, rounds: 1, tile, surfaces: true };
+                    let stream = Stream::from_key(place.into());
+                    let side =
+                        candidates(&receiver, &from, numbers, &mut stream.clone(), &mut counters);
+                    let one = one_at_a_time(&receiver, &from, numbers, &mut stream.clone());
+                    assert_eq!(side.is_some(), one.selected().is_some(), "{count} at {at}");
+                    if let (Some(side), Some(point)) = (side, one.selected()) {
+                        let point = match tile {
+                            Some(_) => point,
+                            None => world.lights.point_towards(
+                                point.light,
+                                receiver.surface().0.position,
+                                point.uv,
+                            ),
+                        };
+                        let one = Finished::from_sum(
+                            Some(point),
+                            one.weight_sum(),
+                            side.sight.target(),
+                            1.0,
+                            1.0,
+                        );
+                        assert_eq!(side.finish(1.0), one, "{count} at {at}");
+                        chosen += 1;
+                    }
+                }
+            }
+        }
+    }
+    assert!(chosen > 1000, "{chosen}");
 }

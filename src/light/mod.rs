@@ -23,6 +23,7 @@ use glam::{Vec2, Vec3};
 
 pub use alias::AliasTable;
 pub use environment::Environment;
+pub(crate) use point::EmitterPoints;
 pub use point::{Arrival, EmitterPoint};
 pub use remap::LightRemap;
 

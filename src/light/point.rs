@@ -14,7 +14,7 @@ use super::{Incident, Light, LightPoint, Lights, Surface};
 use super::{area, constant, extent, mix_uvs};
 use super::{one_minus_cos_cone, sample_sphere_cone, spot_falloff};
 use crate::accel::{Hit, HitPoint};
-use crate::math::{gamma, offset_origin, warp};
+use crate::math::{LANES, Lanes, Lanes3, Mask, gamma, offset_origin, warp};
 use crate::scene::Scene;
 
 /// How an [`EmitterPoint`] sends light.
@@ -157,6 +157,107 @@ impl EmitterPoint {
             radiance,
             geometry: 0.0,
         })
+    }
+}
+
+/// Eight [`EmitterPoint`]s side by side.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct EmitterPoints {
+    position: Lanes3,
+    normal: Lanes3,
+    radiance: Lanes3,
+    kind: [u32; LANES],
+    light: [u32; LANES],
+}
+
+/// What eight points send to one receiver; nothing, where `radiance` is 0.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Arrivals {
+    /// As [`Arrival::direction`].
+    pub direction: Lanes3,
+    /// As [`Arrival::radiance`].
+    pub radiance: Lanes3,
+    /// As [`Arrival::geometry`].
+    pub geometry: Lanes,
+}
+
+impl Arrivals {
+    /// Where anything arrives.
+    #[inline(always)]
+    pub(crate) fn lit(&self) -> Mask {
+        let Lanes3 { x, y, z } = self.radiance;
+        // Radiance is not negative.
+        Lanes::ZERO.below(x + y + z)
+    }
+}
+
+impl EmitterPoints {
+    /// Points that send nothing.
+    pub(crate) const DARK: Self = Self {
+        position: Lanes3::ZERO,
+        normal: Lanes3::ZERO,
+        radiance: Lanes3::ZERO,
+        kind: [kind::POINT; LANES],
+        light: [0; LANES],
+    };
+
+    #[inline(always)]
+    pub(crate) fn set(&mut self, lane: usize, point: &EmitterPoint) {
+        self.position.set(lane, point.position);
+        self.normal.set(lane, point.normal);
+        self.radiance.set(lane, point.radiance);
+        self.kind[lane] = point.kind;
+        self.light[lane] = point.light;
+    }
+
+    fn get(&self, lane: usize) -> EmitterPoint {
+        EmitterPoint {
+            position: self.position.get(lane).to_array(),
+            normal: self.normal.get(lane).to_array(),
+            radiance: self.radiance.get(lane).to_array(),
+            kind: self.kind[lane],
+            light: self.light[lane],
+        }
+    }
+
+    /// [`EmitterPoint::towards`] of each, to the bit.
+    #[inline(always)]
+    pub(crate) fn towards(&self, lights: &Lights, from: Vec3) -> Arrivals {
+        let to_light = self.position.minus(from);
+        let squared = to_light.dot(to_light);
+        let length = squared.sqrt();
+        let direction = to_light.map(|x| x / length);
+        // −cos: minus would be one more operation.
+        let away = direction.dot(self.normal);
+        let bare = Mask::of(|i| self.kind[i] == kind::POINT);
+        let factor = bare.select(Lanes::splat(1.0), away.abs()) / squared;
+        let radiance = self.radiance.map(|x| x * factor);
+        let surface = away.below(Lanes::ZERO).and(factor.finite());
+        let point = radiance.x.finite().and(radiance.y.finite()).and(radiance.z.finite());
+        let lit = bare.select_mask(point, surface);
+        let kept = |x: Lanes| lit.select(x, Lanes::ZERO);
+        let geometry = bare.select(Lanes::ZERO, kept(factor));
+        let mut all = Arrivals { direction, radiance: radiance.map(kept), geometry };
+        let others = Mask::of(|i| self.kind[i] != kind::ONE_SIDED).and(bare.not());
+        if others.any() {
+            for lane in (0..LANES).filter(|lane| others.get(*lane)) {
+                self.one_towards(lane, lights, from, &mut all);
+            }
+        }
+        all
+    }
+
+    /// Lights that are not most lights.
+    #[cold]
+    #[inline(never)]
+    fn one_towards(&self, lane: usize, lights: &Lights, from: Vec3, all: &mut Arrivals) {
+        let (direction, radiance, geometry) = match self.get(lane).towards(lights, from) {
+            Some(one) => (one.direction, one.radiance, one.geometry),
+            None => (Vec3::Z, Vec3::ZERO, 0.0),
+        };
+        all.direction.set(lane, direction.to_array());
+        all.radiance.set(lane, radiance.to_array());
+        all.geometry.0[lane] = geometry;
     }
 }
 

@@ -5,17 +5,29 @@
 //! | local frame | the shading normal is +z, directions point away from the surface |
 //! | `gamma(n)` | bound on the relative error of n roundings (Higham 2002): n ε / (1 − n ε), ε = 2⁻²⁴ |
 
+mod lanes;
 pub mod rng;
 pub mod vmf;
 pub mod warp;
 
 use glam::{Vec2, Vec3};
 
+pub(crate) use lanes::{LANES, Lanes, Lanes3, Mask};
+
+/// Weights of linear Rec. 709 RGB.
+const LUMINANCE: Vec3 = Vec3::new(0.2126, 0.7152, 0.0722);
+
 /// Rec. 709 luminance of linear RGB, the crate's one scalarisation of colour.
 #[inline]
 #[must_use]
 pub fn luminance(rgb: Vec3) -> f32 {
-    rgb.dot(Vec3::new(0.2126, 0.7152, 0.0722))
+    rgb.dot(LUMINANCE)
+}
+
+/// [`luminance`] of eight colours.
+#[inline(always)]
+pub(crate) fn luminances(rgb: Lanes3) -> Lanes {
+    rgb.dot_with(LUMINANCE)
 }
 
 /// `n ε / (1 − n ε)` with ε = 2⁻²⁴: the relative error of n rounded operations stays below it (Higham 2002, lemma 3.1).
@@ -76,6 +88,16 @@ impl Frame {
     #[must_use]
     pub fn to_local(&self, v: Vec3) -> Vec3 {
         Vec3::new(v.dot(self.tangent), v.dot(self.bitangent), v.dot(self.normal))
+    }
+
+    /// World to local, of eight vectors.
+    #[inline(always)]
+    pub(crate) fn lanes_to_local(&self, v: Lanes3) -> Lanes3 {
+        Lanes3 {
+            x: v.dot_with(self.tangent),
+            y: v.dot_with(self.bitangent),
+            z: v.dot_with(self.normal),
+        }
     }
 
     /// Local to world.

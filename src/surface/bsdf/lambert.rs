@@ -6,6 +6,7 @@ use glam::{Vec2, Vec3};
 
 use super::{Evaluation, Lobes, select};
 use crate::math::warp::{invert_cosine_hemisphere, sample_cosine_hemisphere};
+use crate::math::{Lanes, Lanes3, Mask};
 
 /// f = ρ/π on the side of `wo`, on both sides of the surface.
 #[derive(Clone, Copy, Debug)]
@@ -43,6 +44,14 @@ impl Lobes for Diffuse {
         } else {
             Evaluation::ZERO
         }
+    }
+
+    #[inline(always)]
+    fn evaluate_lanes(&self, wo: Vec3, wi: &Lanes3, _: Mask) -> (Lanes3, Lanes) {
+        let same_side = Lanes::ZERO.below(wi.z * wo.z);
+        let pdf = same_side.select(wi.z.abs() * FRAC_1_PI, Lanes::ZERO);
+        let Vec3 { x, y, z } = self.reflectance;
+        (Lanes3 { x: pdf * x, y: pdf * y, z: pdf * z }, pdf)
     }
 
     #[inline]

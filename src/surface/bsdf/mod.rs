@@ -26,6 +26,7 @@ mod metallic;
 use glam::{Vec2, Vec3};
 
 use crate::math::rng::unit_float;
+use crate::math::{LANES, Lanes, Lanes3, Mask};
 use coated::Coated;
 use conductor::Conductor;
 use dielectric::{Dielectric, ThinDielectric};
@@ -94,6 +95,18 @@ trait Lobes {
     fn probability(&self, lobe: u32, wo: Vec3) -> f32;
     /// Sums over those of `lobes` that are not deltas; the density is joint.
     fn evaluate(&self, wo: Vec3, wi: Vec3, lobes: u32) -> Evaluation;
+    /// All lobes at those of eight `wi` that are `alive`; zero at the others.
+    fn evaluate_lanes(&self, wo: Vec3, wi: &Lanes3, alive: Mask) -> (Lanes3, Lanes) {
+        let (mut value, mut pdf) = (Lanes3::ZERO, Lanes::ZERO);
+        for lane in 0..LANES {
+            if alive.get(lane) {
+                let one = self.evaluate(wo, wi.get(lane), ALL);
+                value.set(lane, one.value.to_array());
+                pdf.0[lane] = one.pdf;
+            }
+        }
+        (value, pdf)
+    }
     /// The direction map of a lobe that is not a delta; `None` where it leaves the lobe's hemisphere.
     fn direction(&self, lobe: u32, wo: Vec3, u: Vec2) -> Option<Vec3>;
     /// Inverse of [`Lobes::direction`] for a `wi` with a positive density.
@@ -470,6 +483,20 @@ impl Bsdf {
     #[must_use]
     pub fn evaluate(&self, wo: Vec3, wi: Vec3) -> Evaluation {
         each!(self, lobes => lobes.evaluate(wo, wi, ALL))
+    }
+
+    /// [`Bsdf::evaluate`] of eight `wi`, value and density, to the bit; where not `alive` it may be anything finite.
+    #[inline(always)]
+    pub(crate) fn evaluate_lanes(&self, wo: Vec3, wi: &Lanes3, alive: Mask) -> (Lanes3, Lanes) {
+        match &self.kind {
+            Kind::One(Part::Diffuse(diffuse)) => diffuse.evaluate_lanes(wo, wi, alive),
+            _ => self.other_lanes(wo, wi, alive),
+        }
+    }
+
+    #[inline(never)]
+    fn other_lanes(&self, wo: Vec3, wi: &Lanes3, alive: Mask) -> (Lanes3, Lanes) {
+        each!(self, lobes => lobes.evaluate_lanes(wo, wi, alive))
     }
 
     /// One lobe, with its joint density (the lobe's probability times its own); zero for deltas. The sum over lobes is

@@ -677,3 +677,24 @@ fn reflection_probability_of_glass_is_near_the_reflected_share() {
         }
     }
 }
+
+#[test]
+fn lanes_have_the_bits_of_single_directions() {
+    let mut stream = Stream::from_key(4);
+    for (name, bsdf) in families(0.3, 2.0) {
+        for wo in views() {
+            let mut wi = Lanes3::ZERO;
+            for lane in 0..LANES {
+                let up = direction(2.0 * stream.uniform() - 1.0, stream.uniform());
+                wi.set(lane, up.to_array());
+            }
+            let alive = Mask::of(|lane| lane % 3 != 1);
+            let (value, pdf) = bsdf.evaluate_lanes(wo, &wi, alive);
+            for lane in (0..LANES).filter(|lane| alive.get(*lane)) {
+                let one = bsdf.evaluate(wo, wi.get(lane));
+                let lanes = Evaluation { value: value.get(lane), pdf: pdf.0[lane] };
+                assert_eq!(lanes, one, "{name}, {wo}");
+            }
+        }
+    }
+}
