@@ -231,15 +231,17 @@ pub(super) fn run(
 ) -> Result<Outcome> {
     let plan = engine.plan(&**technique);
     let begin = Instant::now();
-    let (_, a_frame) = pilot(engine, technique, settings, PILOT)?;
+    let (mut found, mut a_frame) = pilot(engine, technique, settings, PILOT)?;
     let length = PILOT_SHARE * settings.seconds / (a_frame * f64::from(settings.longest()));
-    let length = (length as u32).clamp(PILOT, LONG_PILOT);
-    let (pilot, a_frame) = pilot(engine, technique, settings, length)?;
+    let length = (length as u32).min(LONG_PILOT);
+    if length > PILOT {
+        (found, a_frame) = pilot(engine, technique, settings, length)?;
+    }
 
     let moving = engine.stage.facts().moves();
     let made = settings.ages[..if moving { settings.ages.len() } else { 1 }]
         .iter()
-        .zip(&pilot)
+        .zip(&found)
         .map(|(&age, like)| references.obtain(&engine.frozen(age - 1)?, settings, like))
         .collect::<Result<Vec<_>>>()?;
     let of_age = |at: usize| &made[at.min(made.len() - 1)].reference;
@@ -252,7 +254,7 @@ pub(super) fn run(
             (all.clone(), all)
         }
         None => {
-            let wanted = needed(&pilot, of_age, settings)?.at_most(settings.most);
+            let wanted = needed(&found, of_age, settings)?.at_most(settings.most);
             (wanted.clone(), wanted.within(settings.ages, affordable(0.2)))
         }
     };

@@ -36,14 +36,13 @@ pub fn fill_tile(world: &World, words: [u32; 4], counters: &mut Counters) -> Til
     }
     let light = world.lights.choose(words[0], words[1]);
     let point = LightPoint { light, uv: Vec2::new(unit_float(words[2]), unit_float(words[3])) };
+    let density = world.lights.uniform_density(point);
     match world.lights.emitter(&world.scene, point) {
-        Some(emitter) => TileEntry {
-            emitter,
-            light,
-            uv: point.uv.to_array(),
-            density: world.lights.uniform_density(point),
-        },
-        None => TileEntry::zeroed(),
+        // A density may underflow.
+        Some(emitter) if density > 0.0 => {
+            TileEntry { emitter, light, uv: point.uv.to_array(), density }
+        }
+        _ => TileEntry::zeroed(),
     }
 }
 
@@ -177,39 +176,35 @@ impl<R: RandomSource> NullaryFnOnce for LightSamples<'_, '_, R> {
         let (lights, scene) = (&receiver.world().lights, &*receiver.world().scene);
         let (surface, outgoing) = receiver.surface();
         let count = from.lights * from.rounds;
-        let mut words = [0; 4];
         for start in (0..count).step_by(LANES) {
             let lanes = LANES.min((count - start) as usize);
+            let number = |lane: usize| first + start + lane as u32;
             let mut emitters = EmitterPoints::DARK;
             let mut density = Lanes::ZERO;
-            // Of the tile's entries, or of the light table.
-            let mut entries = [0; LANES];
             let mut points = [LightPoint { light: NO_LIGHT, uv: Vec2::ZERO }; LANES];
-            match from.tile {
-                Some(tile) => {
-                    for lane in 0..lanes {
-                        // An entry takes one word: four candidates share a draw.
-                        if lane % 4 == 0 {
-                            words = draw4(seeds.seed(first + start + lane as u32), 0, BLOCK_LIGHT);
-                        }
-                        let at = (u64::from(words[lane % 4]) * tile.len() as u64) >> 32;
-                        let entry = &tile[at as usize];
-                        emitters.set(lane, &entry.emitter);
-                        density.0[lane] = entry.density;
-                        entries[lane] = at as u32;
+            if let Some(tile) = from.tile {
+                let mut words = [0; 4];
+                for (lane, point) in points.iter_mut().enumerate().take(lanes) {
+                    // An entry takes one word: four candidates share a draw.
+                    if lane % 4 == 0 {
+                        words = draw4(seeds.seed(number(lane)), 0, BLOCK_LIGHT);
                     }
+                    let at = (u64::from(words[lane % 4]) * tile.len() as u64) >> 32;
+                    let entry = &tile[at as usize];
+                    emitters.set(lane, &entry.emitter);
+                    density.0[lane] = entry.density;
+                    *point = LightPoint { light: entry.light, uv: Vec2::from(entry.uv) };
                 }
-                None => {
-                    for (lane, point) in points.iter_mut().enumerate().take(lanes) {
-                        words = draw4(seeds.seed(first + start + lane as u32), 0, BLOCK_LIGHT);
-                        let light = lights.choose(words[0], words[1]);
-                        let uv = Vec2::new(unit_float(words[2]), unit_float(words[3]));
-                        *point = LightPoint { light, uv };
-                        if let Some(emitter) =
-                            lights.emitter_towards(scene, light, surface.position, uv)
-                        {
-                            emitters.set(lane, &emitter);
-                        }
+            } else {
+                for (lane, point) in points.iter_mut().enumerate().take(lanes) {
+                    let words = draw4(seeds.seed(number(lane)), 0, BLOCK_LIGHT);
+                    let light = lights.choose(words[0], words[1]);
+                    let uv = Vec2::new(unit_float(words[2]), unit_float(words[3]));
+                    *point = LightPoint { light, uv };
+                    if let Some(emitter) =
+                        lights.emitter_towards(scene, light, surface.position, uv)
+                    {
+                        emitters.set(lane, &emitter);
                     }
                 }
             }
@@ -228,19 +223,12 @@ impl<R: RandomSource> NullaryFnOnce for LightSamples<'_, '_, R> {
             }
             let both = density * shares.0 + pdf * arrivals.geometry * shares.1;
             let weight = target / both;
-            for lane in 0..lanes {
+            for (lane, point) in points.into_iter().enumerate().take(lanes) {
                 // Written so that NaN is offered, and counted.
                 if target.0[lane] <= 0.0 {
                     continue;
                 }
-                let offered = match from.tile {
-                    Some(tile) => {
-                        let entry = &tile[entries[lane] as usize];
-                        let point = LightPoint { light: entry.light, uv: Vec2::from(entry.uv) };
-                        Offered { point, drawn: false }
-                    }
-                    None => Offered { point: points[lane], drawn: true },
-                };
+                let offered = Offered { point, drawn: from.tile.is_none() };
                 reservoir.stream(offered, weight.0[lane], (), selection);
             }
         }

@@ -6,7 +6,7 @@ use glam::{Affine3A, Quat, Vec2, Vec3};
 
 use super::*;
 use crate::accel::{AcceptAll, BuildOptions, HitFilter, Ray};
-use crate::light::{LightPoint, LightRemap, NO_LIGHT};
+use crate::light::{EmitterPoint, LightPoint, LightRemap, NO_LIGHT};
 use crate::math::rng::{
     BLOCK_LIGHT, BLOCK_SCATTER, PathSeeds, RandomSource, Stream, draw4, unit_float,
 };
@@ -361,57 +361,73 @@ enum Along {
     Nearest,
 }
 
-/// [`candidates`], written once more, with a choice of what BSDF samples see.
+/// [`candidates`], written once more without vectors, with a choice of what BSDF samples see: the chosen point and Σw.
 fn drawn(
     receiver: &Receiver<'_>,
-    (lights_count, bsdf_count): (u32, u32),
+    from: &Candidates<'_>,
     along: Along,
-    seed: u64,
+    (seeds, first): (PathSeeds, u32),
     random: &mut Stream,
-) -> (Plain<LightPoint>, f32) {
+) -> Option<(LightPoint, f32)> {
     let world = receiver.world();
     let lights = &world.lights;
     let (surface, outgoing) = receiver.surface();
-    let (mut reservoir, mut target) = (Plain::default(), 0.0);
-    let mut offer = |point: LightPoint, random: &mut Stream| {
-        let Some((sight, _)) = receiver.look(point) else { return };
-        let density = lights.density_towards(point, surface.position, sight.arrival.geometry);
-        let below = lights_count as f32 * density + bsdf_count as f32 * sight.bsdf_density;
-        if reservoir.stream(point, sight.target() / below, (), random) {
-            target = sight.target();
-        }
+    let mut reservoir = Plain::default();
+    // `numbers`: the point's place holds those that it is drawn with.
+    let mut offer = |point: LightPoint, emitter: Option<EmitterPoint>, numbers: bool| {
+        let Some(sight) = emitter.and_then(|emitter| receiver.sight(&emitter)) else { return };
+        let density = match from.tile {
+            Some(_) => lights.uniform_density(point),
+            None => lights.density_towards(point, surface.position, sight.arrival.geometry),
+        };
+        let both = (from.lights * from.rounds) as f32 * density
+            + (from.bsdf * from.rounds) as f32 * sight.bsdf_density;
+        reservoir.stream((point, numbers), sight.target() / both, (), random);
     };
-    for i in 0..lights_count {
-        let [a, b, u, v] = draw4(seed, i, BLOCK_LIGHT);
-        let u = Vec2::new(unit_float(u), unit_float(v));
-        offer(lights.point_towards(lights.choose(a, b), surface.position, u), random);
+    for i in 0..from.lights * from.rounds {
+        if let Some(tile) = from.tile {
+            let words = draw4(seeds.seed(first + i / 4 * 4), 0, BLOCK_LIGHT);
+            let at = (u64::from(words[i as usize % 4]) * tile.len() as u64) >> 32;
+            let TileEntry { emitter, light, uv, .. } = tile[at as usize];
+            offer(LightPoint { light, uv: uv.into() }, Some(emitter), false);
+        } else {
+            let [a, b, u, v] = draw4(seeds.seed(first + i), 0, BLOCK_LIGHT);
+            let (light, uv) = (lights.choose(a, b), Vec2::new(unit_float(u), unit_float(v)));
+            let emitter = lights.emitter_towards(&world.scene, light, surface.position, uv);
+            offer(LightPoint { light, uv }, emitter, true);
+        }
     }
-    for i in 0..bsdf_count {
-        let words = draw4(seed, i, BLOCK_SCATTER);
+    let mut offer = |point: LightPoint| offer(point, lights.emitter(&world.scene, point), false);
+    for i in 0..from.bsdf * from.rounds {
+        let number = first + from.lights * from.rounds + i;
+        let words = draw4(seeds.seed(number), 0, BLOCK_SCATTER);
         let Some(sample) = surface.bsdf.sample(*outgoing, words) else { continue };
         let direction = surface.frame.to_world(sample.wi).normalize();
         let ray = Ray { origin: surface.origin(direction), direction, t_max: f32::INFINITY };
-        let sky = |offer: &mut dyn FnMut(LightPoint)| {
-            for (light, environment) in lights.environments() {
-                if let Some(uv) = environment.invert(direction) {
-                    offer(LightPoint { light, uv });
-                }
-            }
-        };
-        if along == Along::All {
-            sky(&mut |point| offer(point, random));
-            world.emitters().unwrap().along(&ray, lights, |point| offer(point, random));
-        } else if let Some(hit) = world.closest_hit(&ray) {
+        let hit = world.closest_hit(&ray).filter(|_| along == Along::Nearest);
+        if let Some(hit) = hit {
             let point = world.accel.point(&hit);
             let light = lights.of_surface(point.shape, point.element);
             if light != NO_LIGHT {
-                offer(lights.point_at(light, &hit, &point), random);
+                offer(lights.point_at(light, &hit, &point));
             }
-        } else {
-            sky(&mut |point| offer(point, random));
+            continue;
+        }
+        for (light, environment) in lights.environments() {
+            if let Some(uv) = environment.invert(direction) {
+                offer(LightPoint { light, uv });
+            }
+        }
+        if along == Along::All {
+            world.emitters().unwrap().along(&ray, lights, &mut offer);
         }
     }
-    (reservoir, target)
+    let (point, numbers) = reservoir.selected()?;
+    let point = match numbers {
+        true => lights.point_towards(point.light, surface.position, point.uv),
+        false => point,
+    };
+    Some((point, reservoir.weight_sum()))
 }
 
 /// Sets of light points: those of one light that the receiver sees, and those that it does not.
@@ -491,17 +507,11 @@ fn candidates_have_contribution_weights_on_seen_and_on_occluded_light_points() {
         }
         let occluded = found.iter().filter(|(set, _)| set % 2 == 0).count();
         assert!(occluded >= 2 && found.len() - occluded >= 3, "{name}: {found:?}");
-        let twin = |along: Along| {
-            contribution_weights(&receiver, |run| {
-                let mut random = Stream::from_key(run);
-                let (reservoir, target) = drawn(&receiver, (3, 2), along, run, &mut random);
-                reservoir.selected().filter(|_| target > 0.0).map(|p| (p, reservoir.weight_sum()))
-            })
-        };
-        let all = twin(Along::All);
-        assert!(all.iter().all(|(_, result)| result.verdict == Verdict::Pass), "{name}: {all:?}");
         // The control: what the BSDF's share of the density promises on occluded points never comes.
-        let nearest = twin(Along::Nearest);
+        let nearest = contribution_weights(&receiver, |run| {
+            let seeds = PathSeeds::new(run, 0, 0);
+            drawn(&receiver, &sources, Along::Nearest, (seeds, 0), &mut Stream::from_key(run))
+        });
         let lost = |(set, result): &&(usize, Equivalence)| {
             set % 2 == 0 && result.verdict == Verdict::Fail && result.test.difference < 0.0
         };
@@ -579,43 +589,6 @@ fn who_is_outside_a_hollow_light_sees_its_near_cap_alone() {
     }
 }
 
-/// The light samples of [`candidates`], one at a time: what the vector form must give to the bit.
-fn one_at_a_time(
-    receiver: &Receiver<'_>,
-    from: &Candidates<'_>,
-    (seeds, first): (PathSeeds, u32),
-    random: &mut Stream,
-) -> Plain<LightPoint> {
-    let world = receiver.world();
-    let lights = &world.lights;
-    let (surface, _) = receiver.surface();
-    let mut reservoir = Plain::default();
-    for i in 0..from.lights * from.rounds {
-        let (point, emitter, density) = match from.tile {
-            Some(tile) => {
-                let words = draw4(seeds.seed(first + i / 4 * 4), 0, BLOCK_LIGHT);
-                let at = (u64::from(words[i as usize % 4]) * tile.len() as u64) >> 32;
-                let TileEntry { emitter, light, uv, density } = tile[at as usize];
-                (LightPoint { light, uv: uv.into() }, Some(emitter), Some(density))
-            }
-            None => {
-                let [a, b, u, v] = draw4(seeds.seed(first + i), 0, BLOCK_LIGHT);
-                let (light, uv) = (lights.choose(a, b), Vec2::new(unit_float(u), unit_float(v)));
-                let emitter = lights.emitter_towards(&world.scene, light, surface.position, uv);
-                (LightPoint { light, uv }, emitter, None)
-            }
-        };
-        let Some(sight) = emitter.and_then(|emitter| receiver.sight(&emitter)) else { continue };
-        let density = density.unwrap_or_else(|| {
-            lights.density_towards(point, surface.position, sight.arrival.geometry)
-        });
-        let both = (from.lights * from.rounds) as f32 * density
-            + (from.bsdf * from.rounds) as f32 * sight.bsdf_density;
-        reservoir.stream(point, sight.target() / both, (), random);
-    }
-    reservoir
-}
-
 #[test]
 fn candidates_side_by_side_are_those_of_one_at_a_time() {
     let mut scenes = Vec::new();
@@ -635,42 +608,27 @@ fn candidates_side_by_side_are_those_of_one_at_a_time() {
         let world = world(scene);
         let mut counters = Counters::default();
         let mut words = Stream::from_key(5);
-        let tile: Vec<TileEntry> = (0..TILE)
-            .map(|_| {
-                let words = std::array::from_fn(|_| words.word());
-                fill_tile(&world, words, &mut counters)
-            })
-            .collect();
+        let entry = |_| fill_tile(&world, std::array::from_fn(|_| words.word()), &mut counters);
+        let tile: Vec<TileEntry> = (0..TILE).map(entry).collect();
         for place in 0..40 {
             let at = Vec3::new(0.07 * place as f32 - 0.9, 0.0, 0.05 * place as f32 - 1.0);
             let receiver = receiver(&world, at, Time::Now);
             let numbers = (PathSeeds::new(1, place, 2), 3);
             for tile in [None, Some(tile.as_slice())] {
-                for count in [1, 3, 8, 13, 24] {
-                    let from =
-                        Candidates { lights: count, bsdf: 0, rounds: 1, tile, surfaces: true };
+                for (lights, bsdf, rounds) in
+                    [(1, 0, 1), (3, 1, 1), (8, 2, 1), (13, 0, 1), (8, 1, 3), (0, 2, 1)]
+                {
+                    let from = Candidates { lights, bsdf, rounds, tile, surfaces: true };
                     let stream = Stream::from_key(place.into());
                     let side =
                         candidates(&receiver, &from, numbers, &mut stream.clone(), &mut counters);
-                    let one = one_at_a_time(&receiver, &from, numbers, &mut stream.clone());
-                    assert_eq!(side.is_some(), one.selected().is_some(), "{count} at {at}");
-                    if let (Some(side), Some(point)) = (side, one.selected()) {
-                        let point = match tile {
-                            Some(_) => point,
-                            None => world.lights.point_towards(
-                                point.light,
-                                receiver.surface().0.position,
-                                point.uv,
-                            ),
-                        };
-                        let one = Finished::from_sum(
-                            Some(point),
-                            one.weight_sum(),
-                            side.sight.target(),
-                            1.0,
-                            1.0,
-                        );
-                        assert_eq!(side.finish(1.0), one, "{count} at {at}");
+                    let one = drawn(&receiver, &from, Along::All, numbers, &mut stream.clone());
+                    let one = one.filter(|(point, _)| receiver.look(*point).is_some());
+                    assert_eq!(side.is_some(), one.is_some(), "{from:?} at {at}");
+                    if let (Some(side), Some((point, sum))) = (side, one) {
+                        let target = side.sight.target();
+                        let one = Finished::from_sum(Some(point), sum, target, 1.0, 1.0);
+                        assert_eq!(side.finish(1.0), one, "{lights}, {bsdf}, {rounds} at {at}");
                         chosen += 1;
                     }
                 }

@@ -229,35 +229,37 @@ impl EmitterPoints {
         let direction = to_light.map(|x| x / length);
         // −cos: minus would be one more operation.
         let away = direction.dot(self.normal);
-        let bare = Mask::of(|i| self.kind[i] == kind::POINT);
-        let factor = bare.select(Lanes::splat(1.0), away.abs()) / squared;
+        let kinds = |kind: u32| Mask::of(|i| self.kind[i] == kind);
+        let spots = kinds(kind::SPOT);
+        let mut share = Lanes::splat(1.0);
+        if spots.any() {
+            for lane in (0..LANES).filter(|lane| spots.get(*lane)) {
+                share.0[lane] = lights.spot_share(self.light[lane], direction.get(lane));
+            }
+        }
+        let bare = kinds(kind::POINT).or(spots);
+        let factor = bare.select(share, away.abs()) / squared;
         let radiance = self.radiance.map(|x| x * factor);
+        let away = kinds(kind::TWO_SIDED).select(Lanes::ZERO - away.abs(), away);
         let surface = away.below(Lanes::ZERO).and(factor.finite());
         let point = radiance.x.finite().and(radiance.y.finite()).and(radiance.z.finite());
-        let lit = bare.select_mask(point, surface);
+        let lit = bare.and(point).or(surface.and(bare.not()));
         let kept = |x: Lanes| lit.select(x, Lanes::ZERO);
         let geometry = bare.select(Lanes::ZERO, kept(factor));
         let mut all = Arrivals { direction, radiance: radiance.map(kept), geometry };
-        let others = Mask::of(|i| self.kind[i] != kind::ONE_SIDED).and(bare.not());
+        let others = kinds(kind::HOLLOW).or(kinds(kind::INFINITE));
         if others.any() {
             for lane in (0..LANES).filter(|lane| others.get(*lane)) {
-                self.one_towards(lane, lights, from, &mut all);
+                let (direction, radiance, geometry) = match self.get(lane).towards(lights, from) {
+                    Some(one) => (one.direction, one.radiance, one.geometry),
+                    None => (Vec3::Z, Vec3::ZERO, 0.0),
+                };
+                all.direction.set(lane, direction.to_array());
+                all.radiance.set(lane, radiance.to_array());
+                all.geometry.0[lane] = geometry;
             }
         }
         all
-    }
-
-    /// Lights that are not most lights.
-    #[cold]
-    #[inline(never)]
-    fn one_towards(&self, lane: usize, lights: &Lights, from: Vec3, all: &mut Arrivals) {
-        let (direction, radiance, geometry) = match self.get(lane).towards(lights, from) {
-            Some(one) => (one.direction, one.radiance, one.geometry),
-            None => (Vec3::Z, Vec3::ZERO, 0.0),
-        };
-        all.direction.set(lane, direction.to_array());
-        all.radiance.set(lane, radiance.to_array());
-        all.geometry.0[lane] = geometry;
     }
 }
 
@@ -519,6 +521,7 @@ impl Lights {
 
 #[cfg(test)]
 mod tests {
+    use std::array::from_fn;
     use std::sync::Arc;
 
     use glam::Affine3A;
@@ -603,5 +606,63 @@ mod tests {
             }
         }
         assert!(met.iter().all(|&n| n > 100), "{met:?}");
+    }
+
+    #[test]
+    fn eight_side_by_side_have_the_bits_of_each() {
+        let mut scene = scene();
+        for (two_sided, inward) in [(true, false), (false, true)] {
+            for mut shape in [0, 1, 2].map(|object: usize| scene.objects[object].shapes[0].clone())
+            {
+                shape.reverse_orientation = inward;
+                shape.emission.as_mut().unwrap().two_sided = two_sided;
+                scene.add_shape(shape);
+            }
+        }
+        let falloff = SpotFalloff::Smoothstep;
+        let kind =
+            LightKind::Spot { intensity: Vec3::ONE, cos_inner: 0.5, cos_outer: 0.2, falloff };
+        let to_world = Transform::Fixed(Affine3A::from_translation(Vec3::NEG_X));
+        scene.lights.push(Light { to_world, kind, key: 9 });
+        let lights = Lights::build(&scene, bounds(&scene));
+
+        let mut random = Stream::from_key(5);
+        // Of each kind of point: how many send nothing, how many something.
+        let mut met = [[0; 2]; 6];
+        for round in 0..4000 {
+            let points: [_; LANES] = from_fn(|_| {
+                let light = (random.uniform() * lights.len() as f32) as u32;
+                let uv = Vec2::new(random.uniform(), random.uniform());
+                lights.emitter(&scene, lights.point_with(light, uv)).unwrap()
+            });
+            let from = match round % 8 {
+                0 => points[0].place(),
+                // Inside of the spheres.
+                1 => Vec3::new(2.1, 0.8, 0.1),
+                _ => 3.0 * Vec3::new(random.uniform(), random.uniform(), random.uniform()) - 1.5,
+            };
+            let mut all = EmitterPoints::DARK;
+            for (lane, point) in points.iter().enumerate() {
+                all.set(lane, point);
+            }
+            let arrivals = all.towards(&lights, from);
+            for (lane, point) in points.iter().enumerate() {
+                let one = point.towards(&lights, from);
+                let kind = point.kind as usize;
+                met[kind][usize::from(one.is_some())] += 1;
+                assert_eq!(arrivals.lit().get(lane), one.is_some(), "{point:?} from {from}");
+                if let Some(one) = one {
+                    assert_eq!(arrivals.direction.get(lane), one.direction);
+                    assert_eq!(arrivals.radiance.get(lane), one.radiance);
+                    assert_eq!(arrivals.geometry.0[lane], one.geometry);
+                }
+            }
+        }
+        for (kind, [dark, lit]) in met.into_iter().enumerate() {
+            assert!(
+                lit > 100 && (dark > 100 || kind >= kind::POINT as usize),
+                "{kind}: {dark}, {lit}"
+            );
+        }
     }
 }

@@ -51,10 +51,10 @@ impl Mask {
         Self(self.0.map(|bits| !bits))
     }
 
-    /// Where true `yes`, else `no`.
+    /// Either.
     #[inline(always)]
-    pub(crate) fn select_mask(self, yes: Self, no: Self) -> Self {
-        Self(from_fn(|i| self.0[i] & yes.0[i] | !self.0[i] & no.0[i]))
+    pub(crate) fn or(self, other: Self) -> Self {
+        Self(from_fn(|i| self.0[i] | other.0[i]))
     }
 
     /// The lane's truth.
