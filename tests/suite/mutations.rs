@@ -14,7 +14,7 @@ use glam::Vec3;
 use crate::support::{last_frame, shot};
 
 /// Restarts of each SPEC.
-const RESTARTS: u64 = 48;
+const RESTARTS: u64 = 96;
 
 /// Frame 30 of [`RESTARTS`] runs from `first` on, so that SPECs can be compared with the same seeds.
 fn pictures(stage: &Stage, spec: &str, size: [u32; 2], first: u64) -> Vec<Picture> {
@@ -41,47 +41,60 @@ fn truth(stage: &Stage, size: [u32; 2]) -> Picture {
     Picture::new(size[0], size[1], sum)
 }
 
-/// On `cornell` with a long history, where correlation shows, the relative covariance within 8 pixels falls for 1 and 5 mutations, beyond
-/// both 95 % intervals; the mean squared error, paired by seed, does not rise by 3 % (99 % interval). The control, other seeds without
-/// mutations, must not look like a fall. On `plates` mutations change neither: printed, not asserted.
+/// What a SPEC must show.
+#[derive(Clone, Copy, PartialEq)]
+enum Expect {
+    /// The covariance falls beyond both 95 % intervals, and the 99 % interval of the error's change lies within ± 3 %.
+    Equivalent,
+    /// The covariance falls so, and the 99 % interval of the error's change lies below 3 %.
+    NotWorse,
+}
+
+/// Relative covariance within 8 pixels and mean squared error, paired by seed, with 1 and 5 mutations against none, at the last of 30 frames.
+/// With `visibility=trace` the target leaves visibility out, as in the paper: what noise a pixel has is whether it sees its sample, and any sample of
+/// the same distribution is as good, so its error stays. With visibility in the target that noise is in W: merging decorrelated neighbours averages
+/// it better, and the error falls. Scenes and SPECs were chosen with seeds 7000 to 7047, the assertions look at others. The control, other seeds
+/// without mutations, must not look like a fall.
 #[test]
-#[ignore = "slow: 90 s"]
-fn covariance_falls_and_the_error_does_not_rise() {
+#[ignore = "slow: 80 s"]
+fn covariance_falls_and_the_error_stays() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    for scene in ["cornell", "plates"] {
+    let size = [64, 48];
+    let (first, other) = (20_000, 30_000);
+    for (scene, base, expected) in [
+        ("penumbra", "restir-di:visibility=trace", Expect::Equivalent),
+        ("penumbra", "restir-di:visibility=in-target", Expect::NotWorse),
+        ("cornell", "restir-di:cap=50,neighbours=3", Expect::NotWorse),
+    ] {
         let path = root.join("scenes").join(scene).with_extension("pbrt");
         let stage = Stage::new(load::load(&path).unwrap().scene).unwrap();
-        let size = [64, 48];
         let truth = truth(&stage, size);
         let mse = |p: &Picture| Comparison::new(p, &truth, None).unwrap().mse();
-        let base = "restir-di:cap=50,neighbours=3";
-        let without = pictures(&stage, base, size, 7000);
-        let reference = covariance_r8(&without, &truth, None).unwrap();
+        let covariance = |pictures: &[Picture]| covariance_r8(pictures, &truth, None).unwrap();
+        let without = pictures(&stage, base, size, first);
+        let reference = covariance(&without);
         let (least, _) = reference.interval(0.95);
-        println!("{scene} n = 0: covariance {:.3e}, at least {least:.3e}", reference.mean);
+        println!("{scene} {base}: covariance {:.3e}, at least {least:.3e}", reference.mean);
         for n in [1, 5] {
-            let with = pictures(&stage, &format!("{base},mutations={n}"), size, 7000);
-            let covariance = covariance_r8(&with, &truth, None).unwrap();
-            let (_, most) = covariance.interval(0.95);
-            let ratio: Moments =
+            let with = pictures(&stage, &format!("{base},mutations={n}"), size, first);
+            let of_with = covariance(&with);
+            let (_, most) = of_with.interval(0.95);
+            let change: Moments =
                 without.iter().zip(&with).map(|(a, b)| mse(b) / mse(a) - 1.0).collect();
-            let (low, high) = ratio.estimate().interval(0.99);
+            let (low, high) = change.estimate().interval(0.99);
             println!(
-                "{scene} n = {n}: covariance {:.3e} ({:+.1} %), at most {most:.3e}; mse {:+.1} % [{:+.1}, {:+.1}]",
-                covariance.mean,
-                100.0 * (covariance.mean / reference.mean - 1.0),
-                100.0 * ratio.mean(),
+                "{scene} {base},mutations={n}: covariance {:.3e} ({:+.1} %), at most {most:.3e}; mse {:+.2} % [{:+.2}, {:+.2}]",
+                of_with.mean,
+                100.0 * (of_with.mean / reference.mean - 1.0),
+                100.0 * change.mean(),
                 100.0 * low,
                 100.0 * high
             );
-            assert!(scene != "cornell" || (most < least && high < 0.03), "{scene}, {n} mutations");
+            assert!(most < least, "{scene} {base}, {n} mutations: covariance");
+            let stays = low > -0.03 || expected == Expect::NotWorse;
+            assert!(high < 0.03 && stays, "{scene} {base}, {n} mutations: error");
         }
-        if scene == "cornell" {
-            let control = covariance_r8(&pictures(&stage, base, size, 9000), &truth, None).unwrap();
-            assert!(
-                control.interval(0.95).1 >= least,
-                "the control looks like a fall: {control:?}"
-            );
-        }
+        let control = covariance(&pictures(&stage, base, size, other));
+        assert!(control.interval(0.95).1 >= least, "{scene}: the control looks like a fall");
     }
 }
