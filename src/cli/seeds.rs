@@ -37,9 +37,15 @@ mod tests {
     fn parts_techniques_and_restarts_have_seeds_of_their_own() {
         let mut seen = std::collections::HashSet::new();
         for run in [0, 1, u64::MAX] {
-            for part in
-                [Part::Restart, Part::Calibration, Part::Pilot, Part::Curve, Part::Reference]
-            {
+            for part in [
+                Part::Restart,
+                Part::Calibration,
+                Part::Pilot,
+                Part::Curve,
+                Part::Reference,
+                Part::SecondStage,
+                Part::Check,
+            ] {
                 for technique in 0..10 {
                     for index in 0..100 {
                         assert!(seen.insert(seed(run, part, technique, index)));

@@ -1,8 +1,8 @@
 //! One technique on one scene against a reference: how many restarts, two stages, a verdict.
 //!
-//! 1. A pilot of [`PILOT`] restarts says how long a frame takes, one of as many more as time allows how much the means vary. From that
-//!    follows how many restarts the first stage needs at each age: young frames vary most and cost least, so most restarts end early. The
-//!    pilots are never tested, so this choice costs nothing of any α.
+//! 1. A pilot of [`PILOT`] restarts says how long a frame takes and how much the means vary; where time allows, a longer one, up to
+//!    [`LONG_PILOT`], says it better. From that follows how many restarts the first stage needs at each age: young frames vary most and cost
+//!    least, so most restarts end early. Pilots are never tested, so this choice costs nothing of any α.
 //! 2. First stage. All parts ([`crate::stats::agreement`]) of all ages are judged together. A pass ends the trial.
 //! 3. Otherwise the second stage decides: fresh seeds, four times as many restarts. It comes first where time allows less than half of what
 //!    the first stage needs.
@@ -232,9 +232,8 @@ pub(super) fn run(
     let plan = engine.plan(&**technique);
     let begin = Instant::now();
     let (mut found, mut a_frame) = pilot(engine, technique, settings, PILOT)?;
-    let length = PILOT_SHARE * settings.seconds / (a_frame * f64::from(settings.longest()));
-    let length = (length as u32).min(LONG_PILOT);
-    if length > PILOT {
+    let length = long_pilot(settings, a_frame);
+    if length >= 2 * PILOT {
         (found, a_frame) = pilot(engine, technique, settings, length)?;
     }
 
@@ -255,7 +254,8 @@ pub(super) fn run(
         }
         None => {
             let wanted = needed(&found, of_age, settings)?.at_most(settings.most);
-            (wanted.clone(), wanted.within(settings.ages, affordable(0.2)))
+            let share = if settings.confirm { 0.2 } else { 1.0 };
+            (wanted.clone(), wanted.within(settings.ages, affordable(share)))
         }
     };
     // Where time is so short that the first stage would rarely pass, the second gets all of it.
@@ -285,6 +285,15 @@ pub(super) fn run(
         }
     }
     Ok(Outcome { plan, stages })
+}
+
+/// Restarts for which [`PILOT_SHARE`] of the time is enough, at most [`LONG_PILOT`]; none where their number is given.
+fn long_pilot(settings: &Settings<'_>, a_frame: f64) -> u32 {
+    if settings.restarts.is_some() {
+        return 0;
+    }
+    let length = PILOT_SHARE * settings.seconds / (a_frame * f64::from(settings.longest()));
+    (length as u32).min(LONG_PILOT)
 }
 
 /// A pilot with `count` restarts, and the seconds that a frame took.
@@ -373,25 +382,26 @@ fn restarts(
         loops.push(engine.start(technique, settings.effort, 0)?);
     }
     let waiting = loops.len() * settings.ages.len() * pixels * size_of::<glam::Vec3>();
-    let each = (WAITING / waiting).clamp(1, 8);
+    let each = if loops.len() == 1 { 1 } else { (WAITING / waiting).clamp(1, 8) };
     let mut next = 0;
+    let stride = loops.len();
     while next < total {
-        let batch = next..total.min(next + (each * loops.len()) as u32);
+        let batch = next..total.min(next + (each * stride) as u32);
         // Restart i belongs to loop i modulo their number: fewer and fewer reach the later ages, so neighbours take the same time.
         let rendered = loops
             .par_iter_mut()
             .enumerate()
             .map(|(at, frames)| {
-                let own = batch.clone().skip(at).step_by(threads.max(1));
+                let own = batch.clone().skip(at).step_by(stride);
                 own.map(|index| {
                     frames.restart(seed(settings.run, part, settings.number, index));
-                    looks(frames, &settings.ages[..counts.reached(index)])
+                    pictures_at(frames, &settings.ages[..counts.reached(index)])
                 })
                 .collect()
             })
             .collect::<Result<Vec<Vec<_>>>>()?;
         for index in 0..batch.len() {
-            let pictures = &rendered[index % loops.len()][index / loops.len()];
+            let pictures = &rendered[index % stride][index / stride];
             for (restarts, picture) in found.iter_mut().zip(pictures) {
                 restarts.push(&picture.pixels)?;
             }
@@ -407,7 +417,7 @@ fn restarts(
 }
 
 /// The pictures of a restart at `ages`.
-fn looks(frames: &mut FrameLoop, ages: &[u32]) -> Result<Vec<Picture>> {
+fn pictures_at(frames: &mut FrameLoop, ages: &[u32]) -> Result<Vec<Picture>> {
     let mut done = 0;
     ages.iter()
         .map(|&age| {

@@ -196,8 +196,9 @@ fn fill_tile(item: u32, draw: vec4<u32>) {
     let light = choose_light(NOW, draw.x, draw.y);
     let point = LightPoint(light, vec2f(unit_float(draw.z), unit_float(draw.w)));
     let emitter = light_emitter(NOW, point);
-    if emitter.valid {
-        write_tile_entry(item, emitter, point.uv, uniform_density(NOW, point));
+    let density = uniform_density(NOW, point);
+    if emitter.valid && density > 0.0 {
+        write_tile_entry(item, emitter, point.uv, density);
     } else {
         write_tile_entry(item, none, vec2f(0.0), 0.0);
     }

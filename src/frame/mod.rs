@@ -209,6 +209,10 @@ impl FrameLoop {
         }
         let plan = technique.plan(&stage.facts, &shot);
         let world = stage.first.clone();
+        // Here, so that loops made one after another and run side by side share the tree instead of building one each.
+        if plan.emitters {
+            world.prepare_emitters()?;
+        }
         #[cfg(not(feature = "gpu"))]
         let Backend::Cpu = backend;
         #[cfg(feature = "gpu")]
@@ -655,9 +659,6 @@ impl Device {
     ) -> Result<Option<Self>> {
         let Backend::Gpu(device) = backend else { return Ok(None) };
         let Some(twins) = gpu::twins(technique, plan) else { return Ok(None) };
-        if plan.emitters {
-            world.prepare_emitters()?;
-        }
         let runner = gpu::Runner::new(device.clone(), &twins, plan, world, how)?;
         let read = plan.buffers.iter().map(|_| std::sync::OnceLock::new()).collect();
         Ok(Some(Self {

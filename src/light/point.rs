@@ -186,8 +186,8 @@ impl Arrivals {
     #[inline(always)]
     pub(crate) fn lit(&self) -> Mask {
         let Lanes3 { x, y, z } = self.radiance;
-        // Radiance is not negative.
-        Lanes::ZERO.below(x + y + z)
+        // A texture's channel may be negative.
+        Lanes::ZERO.below(x.abs() + y.abs() + z.abs())
     }
 }
 

@@ -47,9 +47,9 @@ impl Lobes for Diffuse {
     }
 
     #[inline(always)]
-    fn evaluate_lanes(&self, wo: Vec3, wi: &Lanes3, _: Mask) -> (Lanes3, Lanes) {
+    fn evaluate_lanes(&self, wo: Vec3, wi: &Lanes3, alive: Mask) -> (Lanes3, Lanes) {
         let same_side = Lanes::ZERO.below(wi.z * wo.z);
-        let pdf = same_side.select(wi.z.abs() * FRAC_1_PI, Lanes::ZERO);
+        let pdf = same_side.and(alive).select(wi.z.abs() * FRAC_1_PI, Lanes::ZERO);
         let Vec3 { x, y, z } = self.reflectance;
         (Lanes3 { x: pdf * x, y: pdf * y, z: pdf * z }, pdf)
     }
