@@ -42,7 +42,7 @@ fn truth(stage: &Stage, size: [u32; 2]) -> Picture {
 }
 
 /// What a SPEC must show.
-#[derive(Clone, Copy, PartialEq)]
+#[derive(Clone, Copy)]
 enum Expect {
     /// The covariance falls beyond both 95 % intervals, and the 99 % interval of the error's change lies within ± 3 %.
     Equivalent,
@@ -53,10 +53,11 @@ enum Expect {
 /// Relative covariance within 8 pixels and mean squared error, paired by seed, with 1 and 5 mutations against none, at the last of 30 frames.
 /// With `visibility=trace` the target leaves visibility out, as in the paper: what noise a pixel has is whether it sees its sample, and any sample of
 /// the same distribution is as good, so its error stays. With visibility in the target that noise is in W: merging decorrelated neighbours averages
-/// it better, and the error falls, which is the control of the equivalence. Scenes and SPECs were chosen with seeds 7000 to 7047, the assertions look at others. The control, other seeds
-/// without mutations, must not look like a fall.
+/// it better, and the error falls, which is the control of the equivalence. Scenes and SPECs were chosen with seeds 7000 to 7047 (the cap of the first
+/// with none: 50 is a long history); the assertions look at others. The control of the covariance, other seeds without mutations, must not look
+/// like a fall.
 #[test]
-#[ignore = "slow: 80 s"]
+#[ignore = "slow: 70 s"]
 fn covariance_falls_and_the_error_stays() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let size = [64, 48];
