@@ -5,7 +5,7 @@ use std::sync::{Arc, OnceLock};
 
 use glam::{Vec3, Vec3A};
 
-use crate::accel::{Accel, AcceptAll, BuildOptions, Hit, HitFilter, HitPoint, Ray};
+use crate::accel::{Accel, AcceptAll, BuildOptions, Hit, HitFilter, HitPoint, MAX_COORDINATE, Ray};
 use crate::error::Result;
 use crate::light::{LightPoint, Lights};
 use crate::scene::{Geometry, Object, ObjectId, Scene};
@@ -189,7 +189,7 @@ fn same_geometry(a: &Scene, b: &Scene) -> bool {
             .all(|(a, b)| a.object == b.object && a.to_world.fixed() == b.to_world.fixed())
 }
 
-/// The world-space box around all shapes; the unit box around the origin for an empty scene.
+/// The world-space box around all shapes, corners beyond [`MAX_COORDINATE`] left out; the unit box around the origin for an empty scene.
 #[must_use]
 pub fn bounds(scene: &Scene) -> [Vec3; 2] {
     let (mut low, mut high) = (Vec3A::INFINITY, Vec3A::NEG_INFINITY);
@@ -198,7 +198,8 @@ pub fn bounds(scene: &Scene) -> [Vec3; 2] {
         for shape in &scene.objects[instance.object.index()].shapes {
             let mut add = |p: Vec3| {
                 let p = to_world.transform_point3a(p.into());
-                if p.is_finite() {
+                // NaN compares false.
+                if p.abs().cmple(Vec3A::splat(MAX_COORDINATE)).all() {
                     low = low.min(p);
                     high = high.max(p);
                 }

@@ -637,3 +637,38 @@ fn candidates_side_by_side_are_those_of_one_at_a_time() {
     }
     assert!(chosen > 1000, "{chosen}");
 }
+
+#[test]
+fn an_entry_whose_density_underflows_is_dark() {
+    // 2 · 10³⁵ m², drawn once in 2 · 10¹⁰ times beside strong points: a density of 3 · 10⁻⁴⁶ is 0 in f32, the light's target is not.
+    let mut scene = Scene::new("vast and faint");
+    let floor = scene.add_material(lambert());
+    let c = |x: f32, y: f32, z: f32| Vec3::new(x, y, z);
+    let corners = [c(-3.0, 0.0, -3.0), c(-3.0, 0.0, 3.0), c(3.0, 0.0, 3.0), c(3.0, 0.0, -3.0)];
+    scene.add_shape(Shape::new(mesh(&corners), floor));
+    let vast = [c(-2e17, 1e17, -2e17), c(4e17, 1e17, -2e17), c(-2e17, 1e17, 4e17)];
+    scene.add_shape(Shape::new(mesh(&vast), floor).emitting(Vec3::splat(1e-6)));
+    for key in 0..8 {
+        let at = Affine3A::from_translation(c(0.0, 10.0, 0.0));
+        let kind = LightKind::Point { intensity: Vec3::splat(1e38) };
+        scene.lights.push(Light { to_world: Transform::Fixed(at), kind, key });
+    }
+    let world = world(scene);
+    let light = world.lights.of_surface(1, 0);
+    // Where each slot of the table begins: its own light, however improbable.
+    let bits = (0..9_u128).map(|slot| ((slot << 64) / 9 + 1) as u64);
+    let drawn = bits.map(|bits: u64| [(bits >> 32) as u32, bits as u32]);
+    let [index, fraction] =
+        drawn.into_iter().find(|w| world.lights.choose(w[0], w[1]) == light).unwrap();
+    let mut counters = Counters::default();
+    let tile = [fill_tile(&world, [index, fraction, 1 << 30, 1 << 30], &mut counters)];
+    let receiver = receiver(&world, Vec3::ZERO, Time::Now);
+    let point = LightPoint { light, uv: Vec2::splat(0.25) };
+    assert_eq!(world.lights.uniform_density(point), 0.0);
+    assert!(receiver.look(point).unwrap().0.target() > 0.0);
+    let from = Candidates { lights: 8, bsdf: 0, rounds: 1, tile: Some(&tile), surfaces: true };
+    let numbers = (PathSeeds::new(1, 2, 3), 0);
+    let chosen = candidates(&receiver, &from, numbers, &mut Stream::from_key(1), &mut counters);
+    assert!(chosen.is_none());
+    assert_eq!(counters.weights_rejected, 0);
+}

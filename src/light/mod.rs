@@ -27,7 +27,7 @@ pub(crate) use point::EmitterPoints;
 pub use point::{Arrival, EmitterPoint};
 pub use remap::LightRemap;
 
-use crate::accel::triangle_orientation;
+use crate::accel::{MAX_COORDINATE, triangle_orientation};
 use crate::math::{Frame, luminance, warp};
 use crate::scene::{Color, Emission, Geometry, LightKind, Scalar, Scene, SpotFalloff};
 
@@ -156,7 +156,7 @@ impl Lights {
                 let flip = if shape.reverse_orientation { -1.0 } else { 1.0 };
                 let whole = |alpha: &Scalar| matches!(alpha, Scalar::Constant(a) if *a >= 1.0);
                 let coverage = shape.alpha.filter(|alpha| !whole(alpha));
-                let mut push = |surface, uvs, element: u64, area: f32, mean: f32| {
+                let mut push = |surface, uvs, element: u64, mean: f32| {
                     lights.lights.push(Light {
                         surface,
                         radiance: emission.radiance,
@@ -166,7 +166,10 @@ impl Lights {
                         uvs,
                         key: [instance.key, (number as u64) << 32 | element],
                     });
-                    powers.push(f64::from(sides * PI * area) * f64::from(mean));
+                    // The accelerator drops what lies beyond; NaN compares false.
+                    let within = extent(surface).cmple(Vec3::splat(MAX_COORDINATE)).all();
+                    let area = if within { f64::from(area(surface)) } else { 0.0 };
+                    powers.push(sides * std::f64::consts::PI * area * f64::from(mean));
                 };
                 match &shape.geometry {
                     Geometry::Mesh(mesh) => {
@@ -178,21 +181,18 @@ impl Lights {
                             let side =
                                 triangle_orientation(mesh, element, shape.reverse_orientation)
                                     * if mirrored { -1.0 } else { 1.0 };
-                            let cross = (b - a).cross(c - a);
+                            let (edge1, edge2) = (b - a, c - a);
+                            // The square of an area leaves f32 for edges beyond 4 · 10⁹ or below 10⁻¹¹.
+                            let cross = edge1.as_dvec3().cross(edge2.as_dvec3());
                             let surface = Surface::Triangle {
                                 corner: a,
-                                edge1: b - a,
-                                edge2: c - a,
-                                normal: cross.normalize_or_zero() * side,
-                                area: 0.5 * cross.length(),
+                                edge1,
+                                edge2,
+                                normal: cross.normalize_or_zero().as_vec3() * side,
+                                area: (0.5 * cross.length()) as f32,
                             };
-                            push(
-                                surface,
-                                uvs,
-                                element as u64,
-                                0.5 * cross.length(),
-                                mean_emission(scene, &emission, uvs),
-                            );
+                            let mean = mean_emission(scene, &emission, uvs);
+                            push(surface, uvs, element as u64, mean);
                         }
                     }
                     Geometry::Sphere { center, radius } => {
@@ -200,7 +200,7 @@ impl Lights {
                         let center = to_world.transform_point3(*center);
                         let mean = mean_emission(scene, &emission, DEFAULT_UVS);
                         let surface = Surface::Sphere { center, radius, outward: flip };
-                        push(surface, DEFAULT_UVS, 0, 4.0 * PI * radius * radius, mean);
+                        push(surface, DEFAULT_UVS, 0, mean);
                     }
                     Geometry::Disk { center, normal, radius } => {
                         let radius = radius * to_world.matrix3.determinant().abs().cbrt();
@@ -213,7 +213,7 @@ impl Lights {
                             frame,
                             radius,
                         };
-                        push(surface, DEFAULT_UVS, 0, PI * radius * radius, mean);
+                        push(surface, DEFAULT_UVS, 0, mean);
                     }
                 }
             }

@@ -301,7 +301,7 @@ fn l3_slow_a_full_million() {
 /// From a speck to half the sphere of directions: the irradiance of a small lamp is L A cos cos / d².
 #[test]
 fn l4_lights_of_every_size() {
-    for half in [1e-6_f32, 1e-3, 0.1, 10.0, 1e3] {
+    for half in [1e-14_f32, 1e-6, 1e-3, 0.1, 10.0, 1e3, 1e11] {
         let mut scene = floor(lambert(0.5));
         let radiance = if half < 1.0 { 1.0 / (4.0 * half * half) } else { 1.0 };
         lamp(&mut scene, Vec3::new(0.0, 1.0, 0.0), half, radiance);
@@ -312,6 +312,27 @@ fn l4_lights_of_every_size() {
             0.5 / std::f64::consts::PI * if half < 1.0 { 1.0 } else { std::f64::consts::PI };
         assert!((value / truth - 1.0).abs() < 0.05, "half width {half}: {value} against {truth}");
     }
+}
+
+/// Emitters too far or too large to be hit are dark: the picture is, bit for bit, that without them.
+#[test]
+fn l4_lights_beyond_every_size() {
+    let scene = |wild: bool| {
+        let mut scene = floor(lambert(0.5));
+        if wild {
+            lamp(&mut scene, Vec3::new(0.0, 1.0, 0.0), 3e19, 1.0);
+            let black = diffuse(&mut scene, 0.0);
+            scene.add_shape(sphere(1e19, black).emitting(Vec3::ONE));
+            let far = polygon(&[Vec3::splat(1e30), Vec3::X, Vec3::Y]);
+            scene.add_shape(Shape::new(far, black).emitting(Vec3::ONE));
+        }
+        lamp(&mut scene, Vec3::new(0.0, 2.0, 0.0), 0.5, 10.0);
+        sky(&mut scene, 0.1);
+        scene
+    };
+    let (with, without) = (survives("L4", scene(true)).0, survives("L4", scene(false)).0);
+    assert!(mean(&without) > 0.0);
+    assert_eq!(with.pixels, without.pixels);
 }
 
 #[test]
