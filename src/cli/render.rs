@@ -112,6 +112,13 @@ pub(super) fn run(args: &RenderArgs) -> Result<Status> {
         .clone()
         .unwrap_or_else(|| PathBuf::from(format!("{}.exr", file_name(&engine.name))));
     let all = sum(&shown.picture, Some(&shown.emission));
+    if all.non_finite() > 0 {
+        // Single estimates are finite: sums of them are not.
+        note(&format!(
+            "warning: {} pixels are brighter than f32 can hold, 3.4e38",
+            all.non_finite()
+        ));
+    }
     let mut layers = vec![Layer::rgb("color", &all)];
     layers.extend(guide_layers(&shown.guides));
     layers.push(Layer::rgb("emission", &shown.emission));

@@ -368,6 +368,23 @@ fn render_writes_layers_that_do_not_depend_on_threads() {
 }
 
 #[test]
+fn render_says_where_light_is_beyond_numbers() {
+    let place = Place::new("bright");
+    let scene = |radiance: f32| {
+        format!(
+            "Camera \"perspective\"\nFilm \"rgb\"\nWorldBegin\nLightSource \"infinite\" \"rgb L\" \
+             [{radiance} {radiance} {radiance}]\n"
+        )
+    };
+    for (radiance, pixels) in [(1e38, Some("64 pixels are brighter")), (1e37, None)] {
+        std::fs::write(place.path("sky.pbrt"), scene(radiance)).unwrap();
+        let ran = place.run("render sky.pbrt --spp 8 --size 8x8").done();
+        assert_eq!(ran.err.contains("warning"), pixels.is_some(), "{ran:?}");
+        assert!(ran.err.contains(pixels.unwrap_or_default()), "{ran:?}");
+    }
+}
+
+#[test]
 fn plan_list_inspect_and_generate_speak() {
     let place = Place::new("speak");
     let scene = cornell();
