@@ -84,7 +84,7 @@ pub(super) struct VerifyArgs {
     /// Positions of primary rays
     #[arg(long, value_enum, default_value_t = FilterArg::Point)]
     pub filter: FilterArg,
-    /// Restarts of the first stage [default: as many as a pilot asks for, at least 64, as fit into 20 minutes or, with --quick, one; fewer reach old ages than young ones]
+    /// Restarts of the first stage; where that is no pass, a second makes four times as many [default: as many as a pilot asks for, at least 64, as fit into 20 minutes or, with --quick, one; fewer reach old ages than young ones]
     #[arg(long, value_name = "R", value_parser = clap::value_parser!(u32).range(2..=1_000_000))]
     pub restarts: Option<u32>,
     /// Complete independent estimates a pixel and frame
