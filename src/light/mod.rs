@@ -166,7 +166,8 @@ impl Lights {
                         uvs,
                         key: [instance.key, (number as u64) << 32 | element],
                     });
-                    // The accelerator drops what lies beyond; NaN compares false.
+                    // The accelerator drops what lies beyond. `extent` is at most five times the farthest coordinate: what lies between
+                    // is met by BSDF samples alone. NaN compares false.
                     let within = extent(surface).cmple(Vec3::splat(MAX_COORDINATE)).all();
                     let area = if within { f64::from(area(surface)) } else { 0.0 };
                     powers.push(sides * std::f64::consts::PI * area * f64::from(mean));
