@@ -4,6 +4,12 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 
+use super::host::terminal;
+use crate::experiment::{ReferenceSettings, Session, SessionSettings};
+use crate::frame::Backend;
+use crate::plan::Filter;
+use crate::{Error, Result};
+
 /// How pictures are made; the same for every technique and reference of a run.
 #[derive(Args, Clone, Debug)]
 pub(super) struct PictureArgs {
@@ -30,6 +36,67 @@ pub(super) struct PictureArgs {
     pub threads: Option<u16>,
 }
 
+impl PictureArgs {
+    /// The scene with these settings; `size` is for where none is given.
+    ///
+    /// # Errors
+    /// As [`Session::open`]; a backend that is not there.
+    pub(super) fn open(
+        &self,
+        scene: &str,
+        filter: FilterArg,
+        size: Option<[u32; 2]>,
+    ) -> Result<Session> {
+        let backend = self.backend()?;
+        if let Some(threads) = self.threads {
+            // This fails only where the pool exists already, with the threads of the same option.
+            let _ = rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global();
+        }
+        let settings = SessionSettings {
+            size: self.size.or(size),
+            depth: self.depth,
+            filter: match filter {
+                FilterArg::Point => Filter::Point,
+                FilterArg::Box => Filter::Box,
+            },
+            fps: self.fps,
+            seed: self.seed,
+            backend,
+        };
+        Session::open(scene, &settings, terminal())
+    }
+
+    /// What runs the frames, opened once a process.
+    #[cfg(feature = "gpu")]
+    fn backend(&self) -> Result<Backend> {
+        use std::sync::{Arc, Mutex, PoisonError};
+        static OPEN: Mutex<Option<(Option<String>, Arc<crate::gpu::Gpu>)>> = Mutex::new(None);
+        if self.backend == BackendArg::Cpu {
+            if self.adapter.is_some() {
+                return Err(Error::usage("`--adapter` needs `--backend gpu`"));
+            }
+            return Ok(Backend::Cpu);
+        }
+        let mut open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((adapter, gpu)) = &*open
+            && *adapter == self.adapter
+        {
+            return Ok(Backend::Gpu(gpu.clone()));
+        }
+        let gpu = crate::gpu::Gpu::open(self.adapter.as_deref())?;
+        *open = Some((self.adapter.clone(), gpu.clone()));
+        Ok(Backend::Gpu(gpu))
+    }
+
+    #[cfg(not(feature = "gpu"))]
+    fn backend(&self) -> Result<Backend> {
+        match self.backend {
+            BackendArg::Cpu if self.adapter.is_none() => Ok(Backend::Cpu),
+            _ => Err(Error::usage("this build has no backend `gpu` (feature `gpu`); known: cpu")),
+        }
+    }
+}
+
 /// Where references come from.
 #[derive(Args, Clone, Debug)]
 pub(super) struct ReferenceArgs {
@@ -44,6 +111,16 @@ pub(super) struct ReferenceArgs {
     pub cache: Option<PathBuf>,
 }
 
+impl ReferenceArgs {
+    pub(super) fn settings(&self) -> ReferenceSettings {
+        ReferenceSettings {
+            file: self.reference.clone(),
+            seconds: self.reference_time,
+            cache: self.cache.clone(),
+        }
+    }
+}
+
 /// The positions of primary rays.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum FilterArg {
@@ -51,15 +128,6 @@ pub(super) enum FilterArg {
     Point,
     /// Jittered over the pixel, anew in every frame
     Box,
-}
-
-impl FilterArg {
-    pub(super) fn name(self) -> &'static str {
-        match self {
-            Self::Point => "point",
-            Self::Box => "box",
-        }
-    }
 }
 
 /// Where frames are computed.
@@ -71,7 +139,7 @@ pub(super) enum BackendArg {
     Gpu,
 }
 
-fn parse_size(text: &str) -> Result<[u32; 2], String> {
+fn parse_size(text: &str) -> std::result::Result<[u32; 2], String> {
     let wrong = || {
         format!(
             "`{text}` is no size; give WIDTHxHEIGHT in pixels, each from 1 to 16384, as in 640x360"
@@ -83,7 +151,7 @@ fn parse_size(text: &str) -> Result<[u32; 2], String> {
 }
 
 /// A pixel, `X,Y` from the upper left corner.
-pub(super) fn parse_pixel(text: &str) -> Result<[u32; 2], String> {
+pub(super) fn parse_pixel(text: &str) -> std::result::Result<[u32; 2], String> {
     let wrong =
         || format!("`{text}` is no pixel; give X,Y from the upper left corner, as in 120,64");
     let (x, y) = text.split_once(',').ok_or_else(wrong)?;
@@ -92,7 +160,7 @@ pub(super) fn parse_pixel(text: &str) -> Result<[u32; 2], String> {
 }
 
 /// A finite number above zero.
-pub(super) fn parse_positive(text: &str) -> Result<f64, String> {
+pub(super) fn parse_positive(text: &str) -> std::result::Result<f64, String> {
     text.parse::<f64>()
         .ok()
         .filter(|v| v.is_finite() && *v > 0.0)
@@ -104,7 +172,7 @@ pub(super) fn parse_positive(text: &str) -> Result<f64, String> {
 pub(super) struct Ages(pub Vec<u32>);
 
 /// Frames from 1, separated by commas.
-pub(super) fn parse_ages(text: &str) -> Result<Ages, String> {
+pub(super) fn parse_ages(text: &str) -> std::result::Result<Ages, String> {
     let wrong = || format!("`{text}` must be frames from 1 to 100000, as in 1,5,20");
     let mut ages = text
         .split(',')
@@ -117,7 +185,7 @@ pub(super) fn parse_ages(text: &str) -> Result<Ages, String> {
 }
 
 /// A share in percent.
-pub(super) fn parse_percent(text: &str) -> Result<f64, String> {
+pub(super) fn parse_percent(text: &str) -> std::result::Result<f64, String> {
     text.parse::<f64>()
         .ok()
         .filter(|v| *v > 0.0 && *v < 100.0)
@@ -127,17 +195,6 @@ pub(super) fn parse_percent(text: &str) -> Result<f64, String> {
 /// Specifications separated by `;`. Commas separate parameters inside one, so they cannot part two.
 pub(super) fn split_specs(text: &str) -> Vec<String> {
     text.split(';').map(str::trim).filter(|s| !s.is_empty()).map(String::from).collect()
-}
-
-/// The film's shape with its longer side 256.
-pub(super) fn default_size(film: [u32; 2]) -> [u32; 2] {
-    let longer = f64::from(film[0].max(film[1]).max(1));
-    film.map(|side| ((f64::from(side) * 256.0 / longer).round() as u32).max(1))
-}
-
-/// The scene's own depth, at most 8.
-pub(super) fn default_depth(scene: u32) -> u32 {
-    scene.clamp(1, 8)
 }
 
 #[cfg(test)]
@@ -175,14 +232,5 @@ mod tests {
             ["nee", "restir-pt:mutations=5,cap=50"]
         );
         assert!(split_specs(" ; ").is_empty());
-    }
-
-    #[test]
-    fn defaults_follow_the_film() {
-        assert_eq!(default_size([1280, 720]), [256, 144]);
-        assert_eq!(default_size([100, 400]), [64, 256]);
-        assert_eq!(default_size([10000, 1]), [256, 1]);
-        assert_eq!(default_depth(66), 8);
-        assert_eq!(default_depth(6), 6);
     }
 }

@@ -130,7 +130,7 @@ fn wrong_input_is_status_two_and_one_line_that_lists_what_exists() {
         (format!("inspect {scene} --technique nee --pixel 999,0 --size 8x8"), vec!["999,0", "8x8"]),
         ("diff bad.exr bad.exr".to_string(), vec!["bad.exr"]),
         ("generate many-lights:x".to_string(), vec!["many-lights:N"]),
-        (format!("compare {} --warmup", moving), vec!["--warmup", "does not move"]),
+        (format!("compare {} --warmup", moving), vec!["`warmup`", "does not move"]),
         (format!("verify nee {scene} --ages 0,5"), vec!["0,5", "1,5,20"]),
         (format!("verify nee {scene} --delta 0"), vec!["percent"]),
         (format!("verify nee {scene} --rungs still"), vec!["--ladder"]),

@@ -56,8 +56,28 @@ const TABLE: &[(&str, &[&str])] = &[
     ),
     ("report", &["metrics", "picture", "stats", "math", "plan", "path"]),
     (
+        "experiment",
+        &[
+            "report",
+            "frame",
+            "techniques",
+            "direct",
+            "plan",
+            "path",
+            "world",
+            "light",
+            "accel",
+            "scene",
+            "metrics",
+            "picture",
+            "stats",
+            "math",
+        ],
+    ),
+    (
         "cli",
         &[
+            "experiment",
             "report",
             "frame",
             "gpu",

@@ -13,7 +13,7 @@ use crate::{Error, Result};
 
 /// What moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Motion {
+pub enum Moving {
     /// Nothing.
     Still,
     /// The camera.
@@ -26,7 +26,7 @@ pub(super) enum Motion {
     All,
 }
 
-impl Motion {
+impl Moving {
     fn has(self, thing: Self) -> bool {
         self == thing || self == Self::All
     }
@@ -36,8 +36,8 @@ impl Motion {
 const CAMERA_PATH: f32 = 0.03;
 const THING_PATH: f32 = 0.5;
 
-/// `scene` with only `motion` in it. Where motion has to be made, it takes `seconds`.
-pub(super) fn only(scene: &Scene, motion: Motion, seconds: f32) -> Result<Scene> {
+/// `scene` with only the wanted motion in it. Where that has to be made, it takes `seconds`.
+pub(super) fn only(scene: &Scene, wanted: Moving, seconds: f32) -> Result<Scene> {
     let start = scene.at(scene.time[0]);
     let emits = |instance: &Instance| emits(scene, instance);
     if scene.moves() {
@@ -50,21 +50,21 @@ pub(super) fn only(scene: &Scene, motion: Motion, seconds: f32) -> Result<Scene>
                 to_world.clone_from(fixed);
             }
         };
-        choose(motion.has(Motion::Camera), &mut made.camera.to_world, &start.camera.to_world);
+        choose(wanted.has(Moving::Camera), &mut made.camera.to_world, &start.camera.to_world);
         for (instance, fixed) in made.instances.iter_mut().zip(&start.instances) {
-            let thing = if emits(instance) { Motion::Light } else { Motion::Occluder };
-            choose(motion.has(thing), &mut instance.to_world, &fixed.to_world);
+            let thing = if emits(instance) { Moving::Light } else { Moving::Occluder };
+            choose(wanted.has(thing), &mut instance.to_world, &fixed.to_world);
         }
         for (light, fixed) in made.lights.iter_mut().zip(&start.lights) {
-            choose(motion.has(Motion::Light), &mut light.to_world, &fixed.to_world);
+            choose(wanted.has(Moving::Light), &mut light.to_world, &fixed.to_world);
         }
-        if moves || motion == Motion::Still {
+        if moves || wanted == Moving::Still {
             return Ok(made);
         }
-    } else if motion == Motion::Still {
+    } else if wanted == Moving::Still {
         return Ok(scene.clone());
     }
-    slide(apart(&start), motion, seconds)
+    slide(apart(&start), wanted, seconds)
 }
 
 /// The same surfaces with an instance a shape. All transforms are fixed.
@@ -93,10 +93,10 @@ pub(super) fn emits(scene: &Scene, instance: &Instance) -> bool {
     scene.objects[instance.object.index()].shapes.iter().any(|shape| shape.emission.is_some())
 }
 
-fn slide(mut scene: Scene, motion: Motion, seconds: f32) -> Result<Scene> {
+fn slide(mut scene: Scene, wanted: Moving, seconds: f32) -> Result<Scene> {
     let [low, high] = bounds(&scene);
     scene.time = [0.0, seconds];
-    if motion.has(Motion::Camera) {
+    if wanted.has(Moving::Camera) {
         let right: Vec3 = scene.camera.to_world.fixed().matrix3.x_axis.into();
         move_by(
             &mut scene.camera.to_world,
@@ -104,7 +104,7 @@ fn slide(mut scene: Scene, motion: Motion, seconds: f32) -> Result<Scene> {
             seconds,
         );
     }
-    if motion.has(Motion::Light) {
+    if wanted.has(Moving::Light) {
         let lamps: Vec<usize> =
             (0..scene.instances.len()).filter(|&at| emits(&scene, &scene.instances[at])).collect();
         if lamps.is_empty() && scene.lights.is_empty() {
@@ -122,7 +122,7 @@ fn slide(mut scene: Scene, motion: Motion, seconds: f32) -> Result<Scene> {
             move_by(&mut light.to_world, path, seconds);
         }
     }
-    if motion.has(Motion::Occluder) {
+    if wanted.has(Moving::Occluder) {
         let at = occluder(&scene)?;
         let path = THING_PATH * diagonal(&scene, at) * Vec3::X;
         move_by(&mut scene.instances[at].to_world, path, seconds);
@@ -195,18 +195,18 @@ mod tests {
     fn only_the_wanted_thing_moves_and_the_first_frame_is_the_files() {
         for name in ["moving.pbrt", "penumbra.pbrt"] {
             let file = scene(name);
-            for (motion, expected) in [
-                (Motion::Still, [false; 3]),
-                (Motion::Camera, [true, false, false]),
-                (Motion::Light, [false, true, false]),
-                (Motion::Occluder, [false, false, true]),
-                (Motion::All, [true; 3]),
+            for (wanted, expected) in [
+                (Moving::Still, [false; 3]),
+                (Moving::Camera, [true, false, false]),
+                (Moving::Light, [false, true, false]),
+                (Moving::Occluder, [false, false, true]),
+                (Moving::All, [true; 3]),
             ] {
-                let made = only(&file, motion, 1.0).unwrap();
+                let made = only(&file, wanted, 1.0).unwrap();
                 made.validate().unwrap();
-                assert_eq!(moving(&made), expected, "{name} {motion:?}");
+                assert_eq!(moving(&made), expected, "{name} {wanted:?}");
                 let camera = |scene: &Scene| scene.camera.to_world.at(scene.time[0]);
-                assert_eq!(camera(&made), camera(&file), "{name} {motion:?}");
+                assert_eq!(camera(&made), camera(&file), "{name} {wanted:?}");
                 assert_eq!(bounds(&made.at(made.time[0])), bounds(&file.at(file.time[0])));
             }
         }
@@ -214,7 +214,7 @@ mod tests {
 
     #[test]
     fn the_occluder_of_penumbra_is_the_board_and_it_slides_half_its_diagonal() {
-        let made = only(&scene("penumbra.pbrt"), Motion::Occluder, 2.0).unwrap();
+        let made = only(&scene("penumbra.pbrt"), Moving::Occluder, 2.0).unwrap();
         let slid: Vec<_> = made.instances.iter().filter(|i| i.to_world.moves()).collect();
         assert_eq!(slid.len(), 1);
         let path = slid[0].to_world.at(2.0).translation - slid[0].to_world.at(0.0).translation;
@@ -224,7 +224,7 @@ mod tests {
     #[test]
     fn what_is_not_there_cannot_move() {
         let empty = Scene::new("empty");
-        assert!(only(&empty, Motion::Light, 1.0).unwrap_err().is_usage());
-        assert!(only(&empty, Motion::Occluder, 1.0).unwrap_err().is_usage());
+        assert!(only(&empty, Moving::Light, 1.0).unwrap_err().is_usage());
+        assert!(only(&empty, Moving::Occluder, 1.0).unwrap_err().is_usage());
     }
 }
