@@ -72,7 +72,7 @@
 pub mod accel;
 #[cfg(feature = "cli")]
 pub mod cli;
-pub mod direct;
+pub mod counters;
 pub mod error;
 #[cfg(feature = "experiment")]
 pub mod experiment;
@@ -82,13 +82,16 @@ pub mod gpu;
 pub mod light;
 pub mod math;
 pub mod metrics;
+pub mod pass;
 pub mod path;
 pub mod picture;
 pub mod plan;
 #[cfg(feature = "experiment")]
 pub mod report;
 pub mod resampling;
+pub mod reuse;
 pub mod scene;
+pub mod spec;
 pub mod stats;
 pub mod surface;
 pub mod techniques;

@@ -8,9 +8,9 @@ use serde_json::{Value, json};
 use super::args::{FilterArg, PictureArgs};
 use super::{Status, print};
 use crate::Result;
+use crate::counters::Counters;
 use crate::experiment::{Session, add_times, claim, median_p99, technique};
-use crate::path::Counters;
-use crate::plan::{Domain, Elements, Plan, Runs, SceneFacts};
+use crate::plan::{Domain, Elements, Grid, Plan, Runs, SceneFacts};
 use crate::report::{align, figure};
 use crate::techniques::Technique;
 
@@ -114,8 +114,11 @@ fn to_json(plan: &Plan, facts: &SceneFacts, pixels: usize) -> Value {
         .map(|pass| {
             let domain = match pass.domain {
                 Domain::Pixels => json!("pixels"),
-                Domain::Tiles { width, height, origin } => {
+                Domain::Tiles { width, height, grid: Grid::Fixed(origin) } => {
                     json!({ "tiles": [width, height], "origin": origin })
+                }
+                Domain::Tiles { width, height, grid: Grid::PerFrame(_) } => {
+                    json!({ "tiles": [width, height], "origin": "another in each frame" })
                 }
                 Domain::Items(n) => json!({ "items": n }),
             };
@@ -143,7 +146,7 @@ fn to_json(plan: &Plan, facts: &SceneFacts, pixels: usize) -> Value {
         plan.skipped.iter().map(|s| json!({ "what": s.what, "because": s.because })).collect();
     let rays: serde_json::Map<String, Value> = Plan::RAY_KINDS
         .iter()
-        .zip(plan.rays_per_pixel)
+        .zip(plan.rays_per_pixel())
         .map(|(kind, most)| ((*kind).to_string(), most.into()))
         .collect();
     let constants: serde_json::Map<String, Value> =

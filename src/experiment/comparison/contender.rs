@@ -3,13 +3,13 @@
 use std::sync::Arc;
 
 use super::{Against, Comparison, JudgedFrames};
+use crate::counters::Counters;
 use crate::experiment::calibrate::median_p99;
 use crate::experiment::seeds::{SeedUse, seed};
 use crate::experiment::session::{Mean, Session, add_times};
 use crate::experiment::{bias, figures};
 use crate::frame::{Frame, FrameLoop};
 use crate::metrics;
-use crate::path::Counters;
 use crate::picture::Picture;
 use crate::stats::{Moments, Restarts};
 use crate::techniques::Technique;

@@ -8,10 +8,10 @@ use super::counts::FEWEST;
 use super::*;
 use crate::experiment::moving::{self, Moving};
 use crate::experiment::{Session, SessionSettings};
+use crate::pass::{Band, FrameInputs};
 use crate::picture::Picture;
 use crate::plan::{Plan, Shot};
 use crate::stats::Place;
-use crate::techniques::{Band, FrameInputs};
 
 const SIZE: [u32; 2] = [16, 16];
 
@@ -101,6 +101,10 @@ impl Technique for Late {
         "late".to_string()
     }
 
+    fn validate(&self) -> Result<()> {
+        Ok(())
+    }
+
     fn plan(&self, facts: &crate::plan::SceneFacts, shot: &Shot) -> Plan {
         self.0.plan(facts, shot)
     }
@@ -110,7 +114,7 @@ impl Technique for Late {
         kernel: u32,
         inputs: &FrameInputs<'_>,
         band: &mut Band<'_>,
-    ) -> crate::path::Counters {
+    ) -> crate::counters::Counters {
         let world = inputs.previous.unwrap_or(inputs.world);
         self.0.run(kernel, &FrameInputs { world, ..*inputs }, band)
     }
