@@ -9,7 +9,7 @@ use glam::Vec3;
 use super::args::{FilterArg, PictureArgs, parse_pixel};
 use super::{Status, print};
 use crate::Result;
-use crate::experiment::{Candidate, Inspected, Inspection, SeenSurface, technique};
+use crate::experiment::{BufferState, Candidate, Inspected, Inspection, SeenSurface, technique};
 use crate::math::luminance;
 use crate::report::figure;
 use crate::stats::Moments;
@@ -49,7 +49,7 @@ pub(super) fn run(args: &InspectArgs) -> Result<Status> {
     let technique = technique(&args.technique)?;
     let session = args.picture.open(&args.scene, args.filter, None)?;
     let inspection = Inspection { pixel: args.pixel, frame: args.frames, samples: args.samples };
-    let Inspected { surface: found, candidates: samples, plan, estimates: values, kept } =
+    let Inspected { surface: found, candidates: samples, plan, estimates: values, state } =
         inspection.run(&session, &technique)?;
     let ([x, y], [width, height]) = (args.pixel, session.shot.size);
     let mut text =
@@ -63,8 +63,13 @@ pub(super) fn run(args: &InspectArgs) -> Result<Status> {
     candidates(&mut text, &samples);
     let _ = writeln!(text, "\n`{}` claims to be {}", plan.technique, plan.claim);
     estimates(&mut text, &values);
-    if let Some(record) = kept {
-        let _ = writeln!(text, "\nreservoir of the last estimate\n{record}");
+    if !state.is_empty() {
+        let _ = writeln!(text, "\nstate after the last estimate");
+    }
+    for BufferState { buffer, fields } in state {
+        let fields: Vec<String> =
+            fields.into_iter().map(|(name, value)| format!("{name} {value}")).collect();
+        let _ = writeln!(text, "{buffer:>12}  {}", fields.join(", "));
     }
     print(&text)?;
     Ok(Status::Done)

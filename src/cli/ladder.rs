@@ -9,12 +9,11 @@ use super::command_line::command_line;
 use super::part::{percent, place};
 use super::verify::{VerifyArgs, existing};
 use super::{Status, note, print};
-use crate::experiment::{
-    Ladder, LadderOutcome, LadderRow, LadderScenes, Session, machine, technique,
-};
+use crate::experiment::{Ladder, LadderOutcome, LadderRow, LadderScenes, Session, machine};
 use crate::plan::{Claim, Shot};
 use crate::report::{align, write_atomic};
 use crate::stats::{Part, Verdict};
+use crate::techniques::{self, REGISTRY};
 use crate::{Error, Result};
 
 /// Scenes of still rungs, the most telling first.
@@ -36,7 +35,7 @@ pub(super) fn run(args: &VerifyArgs) -> Result<Status> {
         ));
     }
     // A wrong name is found before scenes are loaded.
-    technique(&args.technique)?;
+    let (entry, keys) = techniques::find(REGISTRY, &args.technique)?;
     let ladder = Ladder {
         rungs: args.rungs.clone(),
         minutes: args.minutes.or(args.quick.then_some(QUICK_MINUTES)),
@@ -50,7 +49,7 @@ pub(super) fn run(args: &VerifyArgs) -> Result<Status> {
     };
     let begin = Instant::now();
     let scenes = LadderScenes { still: &still, moving: &moving };
-    let found = ladder.run(&args.technique, scenes, |row| note(&cells(row).join("  ")))?;
+    let found = ladder.run(entry, keys, scenes, |row| note(&cells(row).join("  ")))?;
     let text = markdown(&ladder, &found, &still[0], begin.elapsed().as_secs_f64());
     print(&text)?;
     if let Some(path) = &args.out {

@@ -10,12 +10,10 @@ use super::session::Session;
 use crate::accel::Ray;
 use crate::counters::Counters;
 use crate::frame::Frame;
-use crate::light::LightPoint;
 use crate::math::rng::{RandomSource, Stream};
 use crate::path::{emitted, power_heuristic};
-use crate::plan::Plan;
-use crate::report::figure;
-use crate::reuse::light_points::{Receiver, Record, Time};
+use crate::plan::{Elements, Plan};
+use crate::reuse::light_points::{Receiver, Time};
 use crate::techniques::Technique;
 use crate::world::World;
 use crate::{Error, Result};
@@ -42,8 +40,17 @@ pub struct Inspected {
     pub plan: Plan,
     /// The pixel's value in each restart.
     pub estimates: Vec<Vec3>,
-    /// What the technique kept of the pixel in the last restart, in words.
-    pub kept: Option<String>,
+    /// What the technique's buffers held of the pixel after the last restart, where it says something.
+    pub state: Vec<BufferState>,
+}
+
+/// What one buffer held of a pixel, as its technique [describes](Technique::describe) it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct BufferState {
+    /// The buffer's name in the plan.
+    pub buffer: &'static str,
+    /// Names and values.
+    pub fields: Vec<(&'static str, String)>,
 }
 
 /// The surface in a pixel's centre.
@@ -117,8 +124,9 @@ impl Inspection {
 
         let progress = session.host().begin("estimates", u64::from(self.samples));
         let mut frames = session.start(technique, 1, 0)?;
+        let plan = frames.plan().clone();
         let mut estimates = Vec::new();
-        let mut kept = None;
+        let mut state = Vec::new();
         for index in 0..self.samples {
             frames.restart(seed(session.shot.run, SeedUse::Restart, 0, index));
             for _ in 1..self.frame {
@@ -126,30 +134,27 @@ impl Inspection {
             }
             let frame = session.next(&mut frames)?;
             estimates.push(frame.picture().at(x, y));
-            kept = record(&frame, (y * width + x) as usize);
+            state = described(&plan, &**technique, &frame, (y * width + x) as usize);
             progress.step();
         }
-        let plan = session.plan(&**technique);
-        Ok(Inspected { surface, candidates, plan, estimates, kept })
+        Ok(Inspected { surface, candidates, plan, estimates, state })
     }
 }
 
-/// What a technique with reservoirs keeps of a pixel.
-fn record(frame: &Frame<'_>, pixel: usize) -> Option<String> {
-    let records: &[Record] = frame.buffer("history").or_else(|| frame.buffer("reservoirs"))?;
-    let record = records.get(pixel)?;
-    let finished = record.finished();
-    let (confidence, age) = (record.confidence(), record.age());
-    Some(match finished.sample {
-        Some(LightPoint { light, uv }) => format!(
-            "light {light} at ({}, {}), target {}, W {}, confidence {confidence}, age {age}",
-            figure(f64::from(uv.x)),
-            figure(f64::from(uv.y)),
-            figure(f64::from(record.target)),
-            figure(f64::from(finished.weight.get())),
-        ),
-        None => format!("no sample, W 0, confidence {confidence}"),
-    })
+/// What a technique's buffers hold of a pixel, where it says something.
+fn described(
+    plan: &Plan,
+    technique: &dyn Technique,
+    frame: &Frame<'_>,
+    pixel: usize,
+) -> Vec<BufferState> {
+    let pixels = plan.buffers.iter().filter(|buffer| buffer.elements == Elements::Pixels);
+    let state = pixels.filter_map(|buffer| {
+        let words = buffer.bytes as usize / 4;
+        let element = frame.buffer(buffer.name)?.get(words * pixel..words * (pixel + 1))?;
+        Some(BufferState { buffer: buffer.name, fields: technique.describe(buffer, element) })
+    });
+    state.filter(|state| !state.fields.is_empty()).collect()
 }
 
 /// Light samples as a receiver sees them.

@@ -7,67 +7,13 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use super::moving::{self, Moving};
-use super::session::{self, Session};
+use super::moving;
+use super::session::Session;
 use super::trial::{ReferencePool, StageOutcome, Trial, TrialOutcome};
 use crate::plan::Claim;
 use crate::stats::{Part, Verdict};
-use crate::techniques::Technique;
+use crate::techniques::{Entry, Moving, Rung, Technique};
 use crate::{Error, Result};
-
-/// A line of a ladder.
-struct Rung {
-    name: &'static str,
-    /// Added to SPEC; what is given here wins.
-    keys: &'static str,
-    moving: Moving,
-}
-
-const fn rung(name: &'static str, keys: &'static str, moving: Moving) -> Rung {
-    Rung { name, keys, moving }
-}
-
-/// By technique; the last is for all others. Each rung adds to those before, as far as a line can.
-const LADDERS: [(&str, &[Rung]); 2] = [
-    (
-        "restir-di",
-        &[
-            rung("initial", "cap=0,neighbours=0", Moving::Still),
-            rung("spatial, constant", "cap=0,mis=constant", Moving::Still),
-            rung("spatial, inverse-count", "cap=0,mis=inverse-count", Moving::Still),
-            rung("spatial, contribution", "cap=0,mis=contribution", Moving::Still),
-            rung("spatial, balance", "cap=0,mis=balance", Moving::Still),
-            rung("spatial, pairwise", "cap=0,mis=pairwise", Moving::Still),
-            rung("spatial, defensive", "cap=0,mis=defensive", Moving::Still),
-            rung("temporal", "neighbours=0", Moving::Still),
-            rung("full", "", Moving::Still),
-            rung("moving camera", "", Moving::Camera),
-            rung("moving light", "", Moving::Light),
-            rung("moving occluder", "", Moving::Occluder),
-            rung("mutations", "mutations=1", Moving::Still),
-            rung("moving, mutations", "mutations=1", Moving::All),
-            rung("visibility trace", "visibility=trace", Moving::Still),
-            rung("moving, visibility trace", "visibility=trace", Moving::All),
-            rung("visibility bitterli", "visibility=bitterli", Moving::Still),
-            rung("visibility reuse", "visibility=reuse", Moving::Still),
-            rung("visibility wis", "visibility=wis", Moving::Still),
-            rung("visibility wis-cv", "visibility=wis-cv", Moving::Still),
-            rung("moving, visibility wis-cv", "visibility=wis-cv", Moving::All),
-            rung("decoupled", "decoupled=true", Moving::Still),
-            rung("two rounds", "rounds=2", Moving::Still),
-        ],
-    ),
-    (
-        "",
-        &[
-            rung("still", "", Moving::Still),
-            rung("moving camera", "", Moving::Camera),
-            rung("moving light", "", Moving::Light),
-            rung("moving occluder", "", Moving::Occluder),
-            rung("moving all", "", Moving::All),
-        ],
-    ),
-];
 
 /// Share of a rung's time that its references may take where the ladder's time is limited; what they leave
 /// is for restarts.
@@ -187,7 +133,8 @@ impl Ladder {
     /// Everything longer hides it behind noise.
     pub const DEPTH: u32 = 2;
 
-    /// Runs the rungs of a technique; `each` gets every row as soon as it is found. A host that stops the
+    /// Runs the rungs of a technique, registered or not, whose own parameters are `keys`
+    /// (`key=value,key=value`); `each` gets every row as soon as it is found. A host that stops the
     /// ladder gets the rows that were found.
     ///
     /// # Errors
@@ -195,7 +142,8 @@ impl Ladder {
     /// work; whatever a trial refuses.
     pub fn run(
         &self,
-        spec: &str,
+        entry: &Entry,
+        keys: &str,
         scenes: LadderScenes<'_>,
         mut each: impl FnMut(&LadderRow),
     ) -> Result<LadderOutcome> {
@@ -204,7 +152,7 @@ impl Ladder {
                 "a reference file is one picture, but a ladder has many scenes: leave out either",
             ));
         }
-        let tasks = self.tasks(spec, scenes)?;
+        let tasks = self.tasks(entry, keys, scenes)?;
         let begin = Instant::now();
         let progress = tasks[0].session.host().begin("ladder", tasks.len() as u64);
         let mut pool = ReferencePool::default();
@@ -248,16 +196,21 @@ impl Ladder {
     }
 
     /// Every wanted rung on every scene; wrong specifications are found before any work.
-    fn tasks<'a>(&self, spec: &str, scenes: LadderScenes<'a>) -> Result<Vec<Task<'a>>> {
-        let name = spec.split(':').next().unwrap_or_default();
-        // A message about an unknown technique shall not be one about a rung's parameters.
-        session::technique(spec)?;
+    fn tasks<'a>(
+        &self,
+        entry: &Entry,
+        keys: &str,
+        scenes: LadderScenes<'a>,
+    ) -> Result<Vec<Task<'a>>> {
+        // A message about the given parameters shall not be one about a rung's.
+        entry.parse(keys)?;
+        let ladder = entry.ladder();
         let wanted =
-            |rung: &Rung| self.rungs.as_ref().is_none_or(|text| is_wanted(rung, text, name));
+            |rung: &Rung| self.rungs.as_ref().is_none_or(|text| is_wanted(rung, text, ladder));
         let mut tasks = Vec::new();
         let mut number = 0;
-        for rung in rungs(name) {
-            let technique = session::technique(&merged(spec, rung.keys))?;
+        for rung in ladder {
+            let technique: Arc<dyn Technique> = entry.parse(&merged(keys, rung.keys))?.into();
             let sessions = if rung.moving == Moving::Still { scenes.still } else { scenes.moving };
             for session in sessions {
                 tasks.push(Task { number, rung, technique: technique.clone(), session });
@@ -266,7 +219,7 @@ impl Ladder {
         }
         tasks.retain(|task| wanted(task.rung));
         if tasks.is_empty() {
-            let names: Vec<&str> = rungs(name).iter().map(|rung| rung.name).collect();
+            let names: Vec<&str> = ladder.iter().map(|rung| rung.name).collect();
             let text = self.rungs.as_deref().unwrap_or_default();
             return Err(Error::usage(format!(
                 "no rung's name contains `{text}`; known: {}; and `still` for all without motion",
@@ -283,62 +236,61 @@ fn allowance(left: f64, tasks: usize) -> f64 {
     left * (2.0 / tasks as f64).min(1.0)
 }
 
-/// Whether `text` names a rung of `technique`: wholly, where one has just that name, else in part.
-fn is_wanted(rung: &Rung, text: &str, technique: &str) -> bool {
-    let named = rungs(technique).iter().any(|rung| rung.name == text);
+/// Whether `text` names a rung of a ladder: wholly, where one has just that name, else in part.
+fn is_wanted(rung: &Rung, text: &str, ladder: &[Rung]) -> bool {
+    let named = ladder.iter().any(|rung| rung.name == text);
     let still = text == "still" && rung.moving == Moving::Still;
     if named { rung.name == text } else { rung.name.contains(text) || still }
 }
 
-fn rungs(technique: &str) -> &'static [Rung] {
-    let own = LADDERS.iter().find(|(name, _)| *name == technique);
-    own.unwrap_or(&LADDERS[LADDERS.len() - 1]).1
-}
-
-/// A SPEC with a rung's parameters in place of its own.
-fn merged(spec: &str, keys: &str) -> String {
-    let (name, own) = spec.split_once(':').unwrap_or((spec, ""));
-    let key = |pair: &str| pair.split('=').next().unwrap_or_default().to_string();
-    let mut all: Vec<String> = own
-        .split(',')
-        .filter(|pair| !pair.is_empty() && !keys.split(',').any(|k| key(k) == key(pair)))
-        .map(String::from)
-        .collect();
-    all.extend(keys.split(',').filter(|pair| !pair.is_empty()).map(String::from));
-    if all.is_empty() { name.to_string() } else { format!("{name}:{}", all.join(",")) }
+/// A technique's parameters with a rung's in place of its own.
+fn merged(own: &str, rung: &str) -> String {
+    fn pairs(text: &str) -> impl Iterator<Item = &str> {
+        text.split(',').filter(|pair| !pair.is_empty())
+    }
+    fn key(pair: &str) -> &str {
+        pair.split('=').next().unwrap_or_default()
+    }
+    let kept = pairs(own).filter(|pair| pairs(rung).all(|other| key(other) != key(pair)));
+    kept.chain(pairs(rung)).collect::<Vec<_>>().join(",")
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::techniques::{REGISTRY, find};
+
+    fn ladder(spec: &str) -> &'static [Rung] {
+        find(REGISTRY, spec).unwrap().0.ladder()
+    }
 
     #[test]
     fn a_rungs_parameters_win() {
-        assert_eq!(merged("a", ""), "a");
-        assert_eq!(merged("a", "x=1"), "a:x=1");
-        assert_eq!(merged("a:y=2,x=3", "x=1,z=4"), "a:y=2,x=1,z=4");
-        assert_eq!(merged("a:y=2", ""), "a:y=2");
+        assert_eq!(merged("", ""), "");
+        assert_eq!(merged("", "x=1"), "x=1");
+        assert_eq!(merged("y=2,x=3", "x=1,z=4"), "y=2,x=1,z=4");
+        assert_eq!(merged("y=2", ""), "y=2");
     }
 
     #[test]
-    fn every_ladder_of_a_known_technique_parses_and_names_its_rungs_once() {
-        for (name, rungs) in LADDERS {
-            for (at, rung) in rungs.iter().enumerate() {
-                assert!(rungs[..at].iter().all(|other| other.name != rung.name), "{}", rung.name);
-                if crate::techniques::REGISTRY.iter().any(|entry| entry.name == name) {
-                    crate::techniques::parse(&merged(name, rung.keys)).unwrap();
-                }
+    fn every_rung_of_a_registered_technique_parses_and_has_a_name_of_its_own() {
+        for entry in REGISTRY {
+            let ladder = entry.ladder();
+            for (at, rung) in ladder.iter().enumerate() {
+                assert!(ladder[..at].iter().all(|other| other.name != rung.name), "{}", rung.name);
+                entry.parse(rung.keys).unwrap();
             }
         }
-        assert_eq!(rungs("nee").len(), 5);
-        assert!(rungs("restir-di").len() > 15);
+        assert_eq!(ladder("nee").len(), 5);
+        assert!(ladder("restir-di").len() > 15);
     }
 
     #[test]
-    fn a_rungs_whole_name_asks_for_it_alone() {
+    fn a_rungs_whole_name_means_it_alone() {
         let asked = |text: &str| -> Vec<&str> {
-            let all = rungs("restir-di").iter();
-            all.filter(|rung| is_wanted(rung, text, "restir-di")).map(|rung| rung.name).collect()
+            let ladder = ladder("restir-di");
+            let wanted = ladder.iter().filter(|rung| is_wanted(rung, text, ladder));
+            wanted.map(|rung| rung.name).collect()
         };
         assert_eq!(asked("mutations"), ["mutations"]);
         assert_eq!(asked("mutation"), ["mutations", "moving, mutations"]);

@@ -38,10 +38,9 @@ mod trial;
 
 pub use comparison::{Compared, Comparison, Shown, Spending};
 pub use host::{Host, Silent, Steps};
-pub use inspect::{Candidate, CandidateSight, Inspected, Inspection, SeenSurface};
+pub use inspect::{BufferState, Candidate, CandidateSight, Inspected, Inspection, SeenSurface};
 pub use ladder::{Ladder, LadderOutcome, LadderRow, LadderScenes};
 pub use lag::{Change, Lag, LagOutcome};
-pub use moving::Moving;
 pub use reference::{ReferenceSettings, SourcedReference};
 pub use session::{Session, SessionSettings, load_scene, technique};
 pub use trial::{AgeOutcome, Ages, ReferencePool, StageOutcome, Trial, TrialOutcome};

@@ -8,29 +8,9 @@ use glam::{Affine3A, Quat, Vec3};
 use crate::scene::{
     Curve, Geometry, Instance, Interpolation, Object, Scene, Shape, Track, Transform,
 };
+use crate::techniques::Moving;
 use crate::world::bounds;
 use crate::{Error, Result};
-
-/// What moves.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Moving {
-    /// Nothing.
-    Still,
-    /// The camera.
-    Camera,
-    /// Lights, with or without a surface.
-    Light,
-    /// Surfaces that do not emit: all that the scene moves; in a still scene the smallest.
-    Occluder,
-    /// Everything that the scene moves; in a still one camera, lights and occluder.
-    All,
-}
-
-impl Moving {
-    fn has(self, thing: Self) -> bool {
-        self == thing || self == Self::All
-    }
-}
 
 /// The path of the camera as a share of the scene's diagonal, and of a thing as a share of its own.
 const CAMERA_PATH: f32 = 0.03;

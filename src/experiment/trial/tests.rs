@@ -6,12 +6,13 @@ use glam::Vec3;
 
 use super::counts::FEWEST;
 use super::*;
-use crate::experiment::moving::{self, Moving};
+use crate::experiment::moving;
 use crate::experiment::{Session, SessionSettings};
 use crate::pass::{Band, FrameInputs};
 use crate::picture::Picture;
 use crate::plan::{Plan, Shot};
 use crate::stats::Place;
+use crate::techniques::Moving;
 
 const SIZE: [u32; 2] = [16, 16];
 

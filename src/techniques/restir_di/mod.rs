@@ -19,12 +19,13 @@
 
 mod kernels;
 mod plan;
+mod rungs;
 mod twin;
 
 use crate::counters::Counters;
 use crate::error::{Error, Result};
 use crate::pass::{Band, FrameInputs};
-use crate::plan::{Claim, Plan, SceneFacts, Shot};
+use crate::plan::{BufferPlan, Claim, Plan, SceneFacts, Shot};
 use crate::resampling::{
     Conditions, ControlVariate, Decoupled, Estimator, Family, Selected, WeightedVisibility,
 };
@@ -100,6 +101,8 @@ pub(super) const RIS: Entry = Entry {
     build: |values| {
         Ok(Box::new(spec::build(RestirDi::ris(), &rows_of_ris(), values)?.validated()?))
     },
+    rungs: &[],
+    variants: Vec::new,
 };
 
 pub(super) const RESTIR_DI: Entry = Entry {
@@ -107,6 +110,8 @@ pub(super) const RESTIR_DI: Entry = Entry {
     about: "direct light with samples reused over frames and pixels (Bitterli et al. 2020, Lin et al. 2022); other light as nee",
     parameters: || spec::describe(&rows(), &RestirDi::default()),
     build: |values| Ok(Box::new(spec::build(RestirDi::default(), &rows(), values)?.validated()?)),
+    rungs: rungs::RUNGS,
+    variants: rungs::variants,
 };
 
 /// Whether light points are made ahead.
@@ -404,6 +409,13 @@ impl Technique for RestirDi {
             .is_none_or(|id| plan.buffers[id.0].bytes as usize == size_of::<Record>());
         let known = self.taps == Taps::Random && self.spatial == SpatialUse::Feedback && one_chain;
         known.then(|| self.kernel_twin(kernel, plan))
+    }
+
+    fn describe(&self, buffer: &BufferPlan, element: &[u32]) -> Vec<(&'static str, String)> {
+        if Keys::<Record>::ALL.iter().all(|key| key.name != buffer.name) {
+            return Vec::new();
+        }
+        bytemuck::cast_slice::<u32, Record>(element).iter().flat_map(Record::describe).collect()
     }
 }
 
