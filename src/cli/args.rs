@@ -3,11 +3,13 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
+use glam::Vec3;
 
 use super::host::terminal;
-use crate::experiment::{ReferenceSettings, Session, SessionSettings};
+use crate::experiment::{LookAt, ReferenceSettings, SceneMotion, Session, SessionSettings};
 use crate::frame::Backend;
 use crate::plan::Filter;
+use crate::techniques::Moving;
 use crate::{Error, Result};
 
 /// How pictures are made; the same for every technique and reference of a run.
@@ -47,6 +49,20 @@ impl PictureArgs {
         filter: FilterArg,
         size: Option<[u32; 2]>,
     ) -> Result<Session> {
+        self.open_changed(scene, &SceneArgs::default(), filter, size)
+    }
+
+    /// As [`PictureArgs::open`], the scene changed.
+    ///
+    /// # Errors
+    /// As [`PictureArgs::open`]; a motion of something that the scene has not.
+    pub(super) fn open_changed(
+        &self,
+        scene: &str,
+        changes: &SceneArgs,
+        filter: FilterArg,
+        size: Option<[u32; 2]>,
+    ) -> Result<Session> {
         let backend = self.backend()?;
         if let Some(threads) = self.threads {
             // This fails only where the pool exists already, with the threads of the same option.
@@ -62,6 +78,8 @@ impl PictureArgs {
             fps: self.fps,
             seed: self.seed,
             backend,
+            look_at: changes.look_at,
+            motion: changes.motion,
         };
         Session::open(scene, &settings, terminal())
     }
@@ -95,6 +113,17 @@ impl PictureArgs {
             _ => Err(Error::usage("this build has no backend `gpu` (feature `gpu`); known: cpu")),
         }
     }
+}
+
+/// What is changed in a scene before anything is rendered.
+#[derive(Args, Clone, Debug, Default)]
+pub(super) struct SceneArgs {
+    /// Let only this move: camera, light, occluder or all. What the file does not move slides by SHARE of the scene's diagonal a frame, the camera to its right, else along x [default of SHARE: 0.001]
+    #[arg(long, value_name = "WHAT[:SHARE]", value_parser = parse_motion)]
+    pub motion: Option<SceneMotion>,
+    /// A camera in place of the file's, which keeps its angle: eye, target, up vector
+    #[arg(long, value_name = "EX,EY,EZ,TX,TY,TZ,UX,UY,UZ", value_parser = parse_look_at, allow_hyphen_values = true)]
+    pub look_at: Option<LookAt>,
 }
 
 /// Where references come from.
@@ -159,6 +188,43 @@ pub(super) fn parse_pixel(text: &str) -> std::result::Result<[u32; 2], String> {
     Ok([number(x)?, number(y)?])
 }
 
+/// What moves, and how fast.
+pub(super) fn parse_motion(text: &str) -> std::result::Result<SceneMotion, String> {
+    let wrong = || {
+        format!(
+            "`{text}` is no motion; give camera, light, occluder or all, and a share of the scene's diagonal a frame in (0, {}] if \
+             it shall not be {}, as in light:0.01",
+            SceneMotion::MOST,
+            SceneMotion::DEFAULT_SHARE
+        )
+    };
+    let (what, share) = match text.split_once(':') {
+        Some((what, share)) => (what, Some(share.parse().map_err(|_| wrong())?)),
+        None => (text, None),
+    };
+    let moving = match what {
+        "camera" => Moving::Camera,
+        "light" => Moving::Light,
+        "occluder" => Moving::Occluder,
+        "all" => Moving::All,
+        _ => return Err(wrong()),
+    };
+    SceneMotion::new(moving, share).map_err(|_| wrong())
+}
+
+/// Eye, target and up vector.
+pub(super) fn parse_look_at(text: &str) -> std::result::Result<LookAt, String> {
+    let numbers: Option<Vec<f32>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
+    let numbers = numbers.and_then(|numbers| <[f32; 9]>::try_from(numbers).ok());
+    let Some([ex, ey, ez, tx, ty, tz, ux, uy, uz]) = numbers else {
+        return Err(format!(
+            "`{text}` is no view; give nine numbers, eye, target and up vector, as in 0,1,-5,0,1,0,0,1,0"
+        ));
+    };
+    LookAt::new(Vec3::new(ex, ey, ez), Vec3::new(tx, ty, tz), Vec3::new(ux, uy, uz))
+        .map_err(|error| error.to_string())
+}
+
 /// A finite number above zero.
 pub(super) fn parse_positive(text: &str) -> std::result::Result<f64, String> {
     text.parse::<f64>()
@@ -211,6 +277,32 @@ mod tests {
         assert!(parse_pixel("3").is_err() && parse_pixel("3,-1").is_err());
         for wrong in ["0", "-1", "nan", "inf", "x"] {
             assert!(parse_positive(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn motions_and_views() {
+        let motion = |moving, share| SceneMotion::new(moving, share).unwrap();
+        assert_eq!(parse_motion("camera"), Ok(motion(Moving::Camera, None)));
+        assert_eq!(parse_motion("all:0.1"), Ok(motion(Moving::All, Some(0.1))));
+        for wrong in
+            ["", "still", "light:", "light:0", "light:0.2", "light:nan", "light:-0.1", "x:0.1"]
+        {
+            let error = parse_motion(wrong).unwrap_err();
+            assert!(error.contains("(0, 0.1]") && error.contains("occluder"), "{error}");
+        }
+        assert!(parse_look_at("-1, 2,3,4,5,6,0,1,0").is_ok());
+        for (wrong, why) in [
+            ("", "nine"),
+            ("1,2,3", "nine"),
+            ("1,2,3,4,5,6,7,8,9,10", "nine"),
+            ("1,2,3,4,5,6,0,one,0", "nine"),
+            ("1,2,3,4,5,nan,0,1,0", "finite"),
+            ("1,2,3,1,2,3,0,1,0", "target"),
+            ("0,0,0,0,5,0,0,1,0", "up vector"),
+        ] {
+            let error = parse_look_at(wrong).unwrap_err();
+            assert!(error.contains(why), "{wrong}: {error}");
         }
     }
 

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::args::{FilterArg, PictureArgs, ReferenceArgs, parse_positive, split_specs};
+use super::args::{FilterArg, PictureArgs, ReferenceArgs, SceneArgs, parse_positive, split_specs};
 use super::command_line::command_line;
 use super::{Status, note, print};
 use crate::experiment::{Compared, Comparison, Spending, file_name, technique};
@@ -28,7 +28,9 @@ Examples:
   afterimage compare many-lights:10000:7 --techniques 'nee;bsdf' --spp 4
         equal effort: 4 estimates a pixel each
   afterimage compare scenes/moving.pbrt --frames 32 --check
-        judge the 32nd frame; exit status 1 if an unbiased technique is found biased")]
+        judge the 32nd frame; exit status 1 if an unbiased technique is found biased
+  afterimage compare scenes/cornell.pbrt --motion light:0.005 --look-at 0,1,-4,0,1,0,0,1,0
+        the lights slide, seen by another camera")]
 pub(super) struct CompareArgs {
     /// A pbrt or glTF file, or a generator such as many-lights:1000
     #[arg(value_name = "SCENE")]
@@ -38,6 +40,8 @@ pub(super) struct CompareArgs {
     techniques: Option<String>,
     #[command(flatten)]
     picture: PictureArgs,
+    #[command(flatten)]
+    changes: SceneArgs,
     /// Positions of primary rays
     #[arg(long, value_enum, default_value_t = FilterArg::Point)]
     filter: FilterArg,
@@ -102,7 +106,8 @@ pub(super) fn run(args: &CompareArgs) -> Result<Status> {
     // Wrong names are found before any work.
     let techniques = specs.iter().map(|spec| technique(spec)).collect::<Result<Vec<_>>>()?;
     let comparison = args.comparison();
-    let session = args.picture.open(&args.scene, args.filter, comparison.reference.size()?)?;
+    let size = comparison.reference.size()?;
+    let session = args.picture.open_changed(&args.scene, &args.changes, args.filter, size)?;
     let mut compared = comparison.run(&session, &techniques)?;
     compared.results.command = command_line();
 

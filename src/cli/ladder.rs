@@ -34,6 +34,11 @@ pub(super) fn run(args: &VerifyArgs) -> Result<Status> {
             "--reference is one picture, but a ladder has many scenes: leave out either",
         ));
     }
+    if args.changes.motion.is_some() {
+        return Err(Error::usage(
+            "--motion is one motion, but a ladder's rungs have their own: leave out either",
+        ));
+    }
     // A wrong name is found before scenes are loaded.
     let (entry, keys) = techniques::find(REGISTRY, &args.technique)?;
     let ladder = Ladder {

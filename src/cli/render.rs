@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::args::{FilterArg, PictureArgs};
+use super::args::{FilterArg, PictureArgs, SceneArgs};
 use super::{Status, note};
 use crate::experiment::seeds::{SeedUse, seed};
 use crate::experiment::{Mean, Session, file_name, guide_layers, sum, technique};
@@ -27,6 +27,10 @@ Examples:
         256 estimates a pixel with `nee`
   afterimage render scenes/moving.pbrt --technique nee --frames 30 --out frame30.exr
         the 30th frame of an animation
+  afterimage render scenes/cornell.pbrt --motion camera:0.01 --frames 10 --out slid.exr
+        the tenth frame of a camera that slides to its right
+  afterimage render scenes/cornell.pbrt --look-at 0,1,-4,0,1,0,0,1,0 --spp 64
+        another camera: eye, target, up vector
   afterimage render model.glb --frames 64 --accumulate --size 640x360 --out model.exr
         the mean of 64 frames")]
 pub(super) struct RenderArgs {
@@ -38,6 +42,8 @@ pub(super) struct RenderArgs {
     technique: String,
     #[command(flatten)]
     picture: PictureArgs,
+    #[command(flatten)]
+    changes: SceneArgs,
     /// Positions of primary rays
     #[arg(long, value_enum, default_value_t = FilterArg::Box)]
     filter: FilterArg,
@@ -69,7 +75,7 @@ pub(super) fn run(args: &RenderArgs) -> Result<Status> {
     {
         return Err(Error::usage("--out must name a file that ends in .exr").with_path(out));
     }
-    let session = args.picture.open(&args.scene, args.filter, None)?;
+    let session = args.picture.open_changed(&args.scene, &args.changes, args.filter, None)?;
     let run = seed(args.picture.seed, SeedUse::Restart, 0, 0);
     let spread = !session.plan(&*technique).keeps_history() && !session.stage.facts().moves();
     let (shown, interrupted) = match args.spp {

@@ -10,7 +10,9 @@ use std::sync::Arc;
 
 use clap::Args;
 
-use super::args::{Ages, FilterArg, PictureArgs, ReferenceArgs, parse_ages, parse_percent};
+use super::args::{
+    Ages, FilterArg, PictureArgs, ReferenceArgs, SceneArgs, parse_ages, parse_percent,
+};
 use super::part::{percent, place};
 use super::{Status, ladder, print};
 use crate::experiment::{
@@ -43,6 +45,8 @@ Examples:
         a minute instead of many, on scenes/cornell.pbrt: finds 1 %, not 0.5 %
   afterimage verify nee scenes/moving.pbrt --ages 1,10,31 --delta 1
         the frames that are judged, and how far they may be off
+  afterimage verify restir-di scenes/cornell.pbrt --motion light --quick
+        a still scene whose lights are made to slide
   afterimage verify restir-di --ladder --out ladder.md
         rung by rung: no reuse, over space, over time, moving camera, light, occluder, mutations, visibility
   afterimage verify restir-di:candidates=8 --ladder --quick --rungs moving --check
@@ -77,6 +81,8 @@ pub(super) struct VerifyArgs {
     pub ages: Option<Ages>,
     #[command(flatten)]
     pub picture: PictureArgs,
+    #[command(flatten)]
+    pub changes: SceneArgs,
     /// Positions of primary rays
     #[arg(long, value_enum, default_value_t = FilterArg::Point)]
     pub filter: FilterArg,
@@ -122,7 +128,7 @@ impl VerifyArgs {
         picture: &PictureArgs,
         size: Option<[u32; 2]>,
     ) -> Result<Session> {
-        let mut session = picture.open(scene, self.filter, size)?;
+        let mut session = picture.open_changed(scene, &self.changes, self.filter, size)?;
         if self.picture.size.is_none() && self.reference.reference.is_none() {
             let halves = session.shot.size.map(|side| side.div_ceil(2));
             session.shot.size = if self.quick { [32, 32] } else { halves };

@@ -7,7 +7,7 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use super::moving;
+use super::moving::{Slide, only};
 use super::session::Session;
 use super::trial::{ReferencePool, StageOutcome, Trial, TrialOutcome};
 use crate::plan::Claim;
@@ -124,7 +124,7 @@ impl Task<'_> {
     fn moved(&self, longest_age: u32) -> Result<Session> {
         let seconds = longest_age.max(2) as f32 / self.session.shot.fps as f32;
         let scene = self.session.stage.scene();
-        self.session.with_scene(moving::only(scene, self.rung.moving, seconds)?)
+        self.session.with_scene(only(scene, self.rung.moving, Slide::Rung(seconds))?)
     }
 }
 

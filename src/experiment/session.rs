@@ -5,6 +5,8 @@ use std::sync::Arc;
 
 use super::fingerprint;
 use super::host::{Host, Silent};
+use super::look_at::LookAt;
+use super::moving::SceneMotion;
 use crate::error::ErrorKind;
 use crate::frame::{Backend, Frame, FrameLoop, Stage};
 use crate::picture::Picture;
@@ -29,10 +31,15 @@ pub struct SessionSettings {
     pub seed: u64,
     /// What runs the frames; references are always made on the CPU.
     pub backend: Backend,
+    /// A camera in place of the scene's, which keeps its angle.
+    pub look_at: Option<LookAt>,
+    /// What alone moves; `None`: what the scene moves.
+    pub motion: Option<SceneMotion>,
 }
 
 impl Default for SessionSettings {
-    /// 256 pixels across, the scene's depth, the point filter, 30 frames a second, seed 1, on the CPU.
+    /// 256 pixels across, the scene's depth, the point filter, 30 frames a second, seed 1, on the CPU, and the
+    /// scene as it is.
     fn default() -> Self {
         Self {
             size: None,
@@ -41,6 +48,8 @@ impl Default for SessionSettings {
             fps: 30,
             seed: 1,
             backend: Backend::Cpu,
+            look_at: None,
+            motion: None,
         }
     }
 }
@@ -101,13 +110,21 @@ impl Session {
     /// A session whose host hears of progress and may stop it.
     ///
     /// # Errors
-    /// As [`Session::new`].
+    /// As [`Session::new`]; a motion of something that the scene has not.
     pub fn with_host(
-        scene: Scene,
+        mut scene: Scene,
         settings: &SessionSettings,
         host: Arc<dyn Host>,
     ) -> Result<Self> {
-        let SessionSettings { size, depth, filter, fps, seed, backend } = settings.clone();
+        let SessionSettings { size, depth, filter, fps, seed, backend, look_at, motion } =
+            settings.clone();
+        if let Some(look_at) = look_at {
+            scene.camera = look_at.camera(&scene.camera, scene.time[0]);
+        }
+        if let Some(motion) = motion {
+            // A rate of no frames is refused below, where the scene is not at fault.
+            scene = motion.apply(&scene, fps.max(1), |text| host.note(text))?;
+        }
         let shot = Shot {
             size: size.unwrap_or_else(|| default_size(scene.film)),
             depth: depth.unwrap_or_else(|| default_depth(scene.depth)),

@@ -6,7 +6,7 @@ use glam::Vec3;
 
 use super::counts::FEWEST;
 use super::*;
-use crate::experiment::moving;
+use crate::experiment::moving::{Slide, only};
 use crate::experiment::{Session, SessionSettings};
 use crate::pass::{Band, FrameInputs};
 use crate::picture::Picture;
@@ -125,7 +125,7 @@ impl Technique for Late {
 fn penumbra() -> Session {
     let scene = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/penumbra.pbrt");
     let scene = crate::scene::load::load(&scene).unwrap().scene;
-    let scene = moving::only(&scene, Moving::Light, 0.2).unwrap();
+    let scene = only(&scene, Moving::Light, Slide::Rung(0.2)).unwrap();
     let settings =
         SessionSettings { size: Some([16, 16]), depth: Some(2), ..SessionSettings::default() };
     Session::new(scene, &settings).unwrap()
