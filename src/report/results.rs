@@ -86,6 +86,10 @@ pub struct Row {
     pub technique: String,
     /// What it was given.
     pub budget: Budget,
+    /// Whether earlier frames change later ones. Its effort is whole then and its frame takes what it takes, near to the
+    /// budget: `ttuv`, error times time, is what compares it.
+    #[serde(default)]
+    pub history: bool,
     /// What it promises on this scene.
     pub claim: Claim,
     /// `cpu` or `gpu`.
@@ -120,7 +124,8 @@ pub struct Budget {
     pub value: f64,
     /// Complete independent estimates a frame.
     pub effort: u32,
-    /// Whether no effort brings the median steady frame within 5 % of the budget.
+    /// Whether a technique without history has a median steady frame that is more than 5 % off the budget. One with
+    /// history has whole efforts only, and is never marked.
     pub over_budget: bool,
 }
 
@@ -165,6 +170,30 @@ pub struct FrameTime {
     pub p99: f64,
     /// Median of the restarts' first frames.
     pub first: f64,
+    /// 95 % interval of the mean, over restarts, of a restart's median steady frame (Student). Restarts are spread over the whole
+    /// run, so it covers changes of the machine's speed, as far as they do not last for much of the run.
+    #[serde(default)]
+    pub ci: Option<[f64; 2]>,
+    /// Median of the steady frames that the effort was calibrated with, before the first restart; none without a frame time
+    /// to keep.
+    #[serde(default)]
+    pub calibrated: Option<f64>,
+    /// The same frames again, after everything else.
+    #[serde(default)]
+    pub recalibrated: Option<f64>,
+}
+
+impl FrameTime {
+    /// A change of the calibrated time that is more than this share of it is a drift.
+    pub const DRIFT: f64 = 0.05;
+
+    /// How much longer the calibrated frames take after the run than before, as a share; `None` where that is 5 % or less, or
+    /// not known.
+    #[must_use]
+    pub fn drift(&self) -> Option<f64> {
+        let change = self.recalibrated? / self.calibrated? - 1.0;
+        (change.abs() > Self::DRIFT).then_some(change)
+    }
 }
 
 /// Time of a pass.
@@ -262,11 +291,19 @@ pub(crate) mod tests {
         Row {
             technique: technique.into(),
             budget: Budget { kind: BudgetKind::Spp, value: 1.0, effort: 1, over_budget: false },
+            history: false,
             claim: Claim::Unbiased,
             backend: "cpu".into(),
             frames: 16,
             restarts: 20,
-            ms_per_frame: FrameTime { median: 10.0, p99: 12.0, first: 15.0 },
+            ms_per_frame: FrameTime {
+                median: 10.0,
+                p99: 12.0,
+                first: 15.0,
+                ci: Some([9.5, 10.5]),
+                calibrated: Some(10.0),
+                recalibrated: Some(10.2),
+            },
             rays_per_pixel: BTreeMap::from([("shadow".into(), 3.5)]),
             bytes_per_pixel: 0.0,
             passes: vec![PassTime { name: "path".into(), ms: 9.0 }],
@@ -328,9 +365,29 @@ pub(crate) mod tests {
         assert_eq!(json["rows"][1]["bias"]["verdict"], "pass");
         assert_eq!(first["metrics"]["relmse"]["mean"], 0.5);
         assert_eq!(first["budget"]["kind"], "spp");
+        assert_eq!(first["ms_per_frame"]["ci"][1], 10.5);
         // What older files lack is optional.
+        let mut old = json.clone();
+        let time = old["rows"][0]["ms_per_frame"].as_object_mut().unwrap();
+        time.retain(|name, _| ["median", "p99", "first"].contains(&name.as_str()));
+        let old: Results = serde_json::from_value(old).unwrap();
+        assert_eq!(old.rows[0].ms_per_frame.ci, None);
         assert!(json.get("warmups").is_none() && json.get("spectra").is_none());
         let _: Results = serde_json::from_value(json).unwrap();
+    }
+
+    #[test]
+    fn small_changes_of_time_are_no_drift_and_unknown_ones_neither() {
+        let time = |before, after| FrameTime {
+            calibrated: before,
+            recalibrated: after,
+            ..row("a", 1.0, 0.1).ms_per_frame
+        };
+        assert_eq!(time(Some(10.0), Some(10.4)).drift(), None);
+        assert_eq!(time(Some(10.0), Some(9.6)).drift(), None);
+        assert_eq!((time(None, Some(9.0)).drift(), time(Some(9.0), None).drift()), (None, None));
+        assert!((time(Some(10.0), Some(11.0)).drift().unwrap() - 0.1).abs() < 1e-12);
+        assert!((time(Some(10.0), Some(9.0)).drift().unwrap() + 0.1).abs() < 1e-12);
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::{Figure, METRICS, Results, Row, SpectrumPoint};
+use super::{Budget, BudgetKind, Figure, FrameTime, METRICS, Results, Row, SpectrumPoint};
 
 /// A Markdown table, a row a technique, with the settings above it. A figure is bold only where it is the lowest and its 95 %
 /// interval meets no other row's.
@@ -36,7 +36,7 @@ fn table(results: &Results, metrics: &[&'static str]) -> String {
                 format!("`{}`", row.technique),
                 row.claim.to_string(),
                 effort(row),
-                figure(row.ms_per_frame.median),
+                milliseconds(row),
                 figure(row.rays_per_pixel.values().sum()),
                 figure(row.bytes_per_pixel),
             ];
@@ -84,6 +84,19 @@ fn effort(row: &Row) -> String {
     }
 }
 
+/// The median with half of its interval, and how far it drifted.
+fn milliseconds(row: &Row) -> String {
+    let time = &row.ms_per_frame;
+    let mut text = figure(time.median);
+    if let Some([low, high]) = time.ci {
+        let _ = write!(text, " ± {}", spread(0.5 * (high - low), time.median));
+    }
+    if let Some(drift) = time.drift() {
+        let _ = write!(text, " (drift {:+.0} %)", 100.0 * drift);
+    }
+    text
+}
+
 fn cell(results: &Results, at: usize, metric: &str) -> String {
     let Some(this) = results.rows[at].metrics.get(metric) else { return "-".to_string() };
     let mut text = figure(this.mean);
@@ -115,7 +128,8 @@ fn bias(row: &Row) -> String {
 
 fn notes(results: &Results) -> Vec<String> {
     let mut notes = vec![
-        "± is half of the 95 % interval over restarts; bold: lowest, and no other interval meets it.".to_string(),
+        "± is half of the 95 % interval over restarts (of ms/frame: of each restart's median); bold: lowest, and no other interval meets it."
+            .to_string(),
     ];
     for row in &results.rows {
         if row.budget.over_budget {
@@ -127,10 +141,40 @@ fn notes(results: &Results) -> Vec<String> {
             ));
         }
     }
+    for row in results.rows.iter().filter(|row| is_beside_budget(row)) {
+        notes.push(format!(
+            "`{}` keeps history, so its effort is whole: its frames took {} ms of {} ms. Compare `ttuv`, error times time.",
+            row.technique,
+            figure(row.ms_per_frame.median),
+            figure(row.budget.value)
+        ));
+    }
+    for row in &results.rows {
+        let FrameTime { calibrated: Some(before), recalibrated: Some(after), .. } =
+            row.ms_per_frame
+        else {
+            continue;
+        };
+        if row.ms_per_frame.drift().is_some() {
+            notes.push(format!(
+                "`{}` drifted: frames that took {} ms before its restarts took {} ms after them, so its time is not comparable to 5 %.",
+                row.technique,
+                figure(before),
+                figure(after)
+            ));
+        }
+    }
     if results.interrupted {
         notes.push("Stopped early: these are the restarts that were done.".to_string());
     }
     notes
+}
+
+/// Whether a technique with history is more than 5 % beside a frame time.
+fn is_beside_budget(row: &Row) -> bool {
+    let Budget { kind, value, .. } = row.budget;
+    let off = (row.ms_per_frame.median - value).abs() > 0.05 * value;
+    row.history && kind == BudgetKind::FrameTime && off
 }
 
 /// Pads the columns so that the table can be read as text.
@@ -195,7 +239,7 @@ fn spread(half: f64, mean: f64) -> String {
 #[must_use]
 pub fn csv(results: &Results) -> String {
     let mut text = String::from(
-        "technique,claim,backend,budget,budget_value,effort,over_budget,frames,restarts,ms_median,ms_p99,ms_first,rays_per_pixel,\
+        "technique,claim,backend,budget,budget_value,effort,over_budget,frames,restarts,ms_median,ms_low,ms_high,ms_p99,ms_first,ms_drift,rays_per_pixel,\
          bytes_per_pixel,bias_verdict,bias_relative,bias_low,bias_high,tiles_rejected",
     );
     for metric in METRICS {
@@ -206,7 +250,7 @@ pub fn csv(results: &Results) -> String {
         let kind = serde_json::to_value(row.budget.kind).unwrap_or_default();
         let _ = write!(
             text,
-            "{},{},{},{},{},{},{},{},{},{},{},{},{},{}",
+            "{},{},{},{},{},{},{},{},{},{}{},{},{},{},{},{}",
             quoted(&row.technique),
             row.claim,
             row.backend,
@@ -217,8 +261,10 @@ pub fn csv(results: &Results) -> String {
             row.frames,
             row.restarts,
             row.ms_per_frame.median,
+            ends(row.ms_per_frame.ci),
             row.ms_per_frame.p99,
             row.ms_per_frame.first,
+            row.ms_per_frame.drift().map_or(String::new(), |drift| drift.to_string()),
             row.rays_per_pixel.values().sum::<f64>(),
             row.bytes_per_pixel
         );
@@ -323,6 +369,29 @@ mod tests {
         assert!(!near.contains("**"), "{near}");
         let alone = markdown(&results(vec![row("a", 0.1, 0.01)]));
         assert!(!alone.contains("**"), "{alone}");
+    }
+
+    #[test]
+    fn drift_and_whole_efforts_are_said_only_where_they_are() {
+        let mut drifted = row("a", 0.1, 0.01);
+        drifted.ms_per_frame.recalibrated = Some(11.0);
+        let mut reuse = row("b", 0.2, 0.01);
+        reuse.history = true;
+        reuse.budget = Budget { kind: BudgetKind::FrameTime, value: 12.0, ..reuse.budget };
+        let text = markdown(&results(vec![drifted, reuse.clone()]));
+        assert!(
+            text.contains("10.0 ± 0.5 (drift +10 %)") && text.contains("`a` drifted"),
+            "{text}"
+        );
+        assert!(
+            text.contains("`b` keeps history") && text.contains("10.0 ms of 12.0 ms"),
+            "{text}"
+        );
+        assert!(!text.contains("off budget") && !text.contains("`b` drifted"), "{text}");
+        // Within 5 % there is nothing to say.
+        reuse.budget.value = 10.2;
+        let text = markdown(&results(vec![row("a", 0.1, 0.01), reuse]));
+        assert!(!text.contains("drift") && !text.contains("keeps history"), "{text}");
     }
 
     #[test]

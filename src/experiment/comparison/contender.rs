@@ -27,6 +27,11 @@ pub(super) struct Contender {
     pub(super) frames: FrameLoop,
     pub(super) steady: Vec<f64>,
     pub(super) first: Vec<f64>,
+    /// Each restart's median steady frame.
+    pub(super) medians: Moments,
+    /// Median steady frame before the first restart and after the last one, where there is a frame time to keep.
+    pub(super) calibrated: Option<f64>,
+    pub(super) recalibrated: Option<f64>,
     pub(super) passes: Vec<(&'static str, Vec<f64>)>,
     pub(super) work: Counters,
     pub(super) work_frames: u64,
@@ -57,6 +62,9 @@ impl Contender {
             frames: session.start(technique, effort, 0)?,
             steady: Vec::new(),
             first: Vec::new(),
+            medians: Moments::new(),
+            calibrated: None,
+            recalibrated: None,
             passes: Vec::new(),
             work: Counters::default(),
             work_frames: 0,
@@ -106,6 +114,7 @@ impl Contender {
         let (warmup, emission) = (&mut self.warmup, &mut self.emission);
         frames.restart(seed(session.shot.run, SeedUse::Restart, *number, index));
         let mut compared = Ok(());
+        let (first_before, steady_before) = (first.len(), steady.len());
         let picture = judged_picture(session, frames, judged, |at, frame| {
             if let Some(moments) = warmup.get_mut(at as usize) {
                 match figures::relmse(&frame.picture(), truth) {
@@ -127,6 +136,10 @@ impl Contender {
             }
         })?;
         compared?;
+        // A restart of a single frame has no steady one.
+        let own = &steady[steady_before..];
+        let own = if own.is_empty() { &first[first_before..] } else { own };
+        self.medians.push(median_p99(own)[0]);
         Ok(picture)
     }
 

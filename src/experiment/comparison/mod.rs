@@ -1,11 +1,12 @@
 //! Techniques at equal frame time or equal effort, over independent restarts, against one reference.
 //!
-//! 1. Effort: integer efforts are calibrated to the frame time, or given.
+//! 1. Effort: efforts are calibrated to the frame time, all techniques by turns, or given.
 //! 2. Pilot: a few restarts estimate how much each technique varies, from which follows how good the
 //!    reference must be.
 //! 3. Reference: see [`super::reference`].
 //! 4. Restarts, interleaved over techniques, so that a change of the machine's speed meets all alike.
 //! 5. Curve: the same at other efforts, with fewer restarts.
+//! 6. Calibration again: a technique whose frames take another time than before the restarts says so.
 
 mod budget;
 mod contender;
@@ -22,7 +23,7 @@ use super::{figures, machine};
 use crate::frame::Guides;
 use crate::picture::Picture;
 use crate::plan::Filter;
-use crate::report::{Results, SCHEMA, Warmup};
+use crate::report::{BudgetKind, Results, SCHEMA, Warmup};
 use crate::techniques::Technique;
 use crate::{Error, Result};
 
@@ -130,6 +131,11 @@ impl Comparison {
         for (at, technique) in techniques.iter().enumerate() {
             contenders.push(Contender::new(session, technique, at as u32, budget.efforts[at])?);
         }
+        let timed = budget.kind == BudgetKind::FrameTime;
+        if timed {
+            let times = budget::times(session, &mut contenders)?;
+            contenders.iter_mut().zip(times).for_each(|(c, ms)| c.calibrated = Some(ms));
+        }
         let variance = contender::pilot(session, &mut contenders, judged)?;
 
         // The curve's longest frames are four times as long, so their error is as many times smaller.
@@ -159,6 +165,15 @@ impl Comparison {
         if !interrupted && self.curve_restarts > 0 {
             match self.curves(session, &contenders, judged, &truth) {
                 Ok(found) => curves = found,
+                Err(error) if error.is_interrupted() => interrupted = true,
+                Err(error) => return Err(error),
+            }
+        }
+        if !interrupted && timed {
+            match budget::times(session, &mut contenders) {
+                Ok(times) => {
+                    contenders.iter_mut().zip(times).for_each(|(c, ms)| c.recalibrated = Some(ms));
+                }
                 Err(error) if error.is_interrupted() => interrupted = true,
                 Err(error) => return Err(error),
             }
