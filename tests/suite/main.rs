@@ -9,6 +9,7 @@ mod elision;
 mod gpu;
 mod laws;
 mod layering;
+mod learn;
 mod loaders;
 mod metamorphic;
 mod mutations;
