@@ -1,10 +1,13 @@
-//! Speed and error beside Mitsuba 3 on the same files: what `docs/results.md` says of it. Needs `../shared/peer` and, in
-//! `AFTERIMAGE_PEER_PYTHON`, a Python that has Mitsuba; says so where they are missing. It takes a quiet machine:
+//! Speed and error beside Mitsuba 3 on the same files: what `docs/performance.md` says of it. Needs
+//! `../shared/peer` and, in `AFTERIMAGE_PEER_PYTHON`, a Python that has Mitsuba; says so where they
+//! are missing. It takes a quiet machine:
 //!
-//! `AFTERIMAGE_PEER_PYTHON=/path/to/python cargo test --profile published --test suite peer:: -- --ignored --nocapture --test-threads 1`
+//! `AFTERIMAGE_PEER_PYTHON=/path/to/python cargo test --profile published --test suite peer:: --
+//! --ignored --nocapture --test-threads 1`
 //!
-//! Both renderers have two threads and take turns; rates are medians. Mitsuba's pixels are box filtered. Error is the variance of a sample
-//! over r² + 10⁻² r̄², as in `docs/metrics.md`, r the mean of Mitsuba's runs, pixels near emitters masked; what counts is error times time.
+//! Both renderers have two threads and take turns; rates are medians. Mitsuba's pixels are box
+//! filtered. Error is the variance of a sample over r² + 10⁻² r̄², as in `docs/metrics.md`, r the
+//! mean of Mitsuba's runs, pixels near emitters masked; what counts is error times time.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -116,7 +119,8 @@ fn ours(stage: &Stage, size: [u32; 2], depth: u32, spp: u32, restarts: u64) -> R
     }
 }
 
-/// Mean over pixels and channels of variance / (r² + 10⁻² r̄²), whole and without the worst thousandth of the pixels.
+/// Mean over pixels and channels of variance / (r² + 10⁻² r̄²), whole and without the worst
+/// thousandth of the pixels.
 fn relative(variance: &[Vec3], reference: &[Vec3], counts: &[bool]) -> [f64; 2] {
     let kept = || counts.iter().enumerate().filter(|(_, counts)| **counts).map(|(at, _)| at);
     let sum: f64 = kept().map(|at| f64::from(reference[at].element_sum() / 3.0)).sum();
@@ -178,7 +182,8 @@ fn long_samples_a_second_and_error_times_time() {
     }
 }
 
-/// Mean squared errors of single frames after `ages` frames, over restarts, with the milliseconds of each of these frames.
+/// Mean squared errors of single frames after `ages` frames, over restarts, with the milliseconds
+/// of each of these frames.
 fn frames(stage: &Stage, spec: &str, size: [u32; 2], ages: [u32; 2]) -> [(Vec<Vec3>, f64); 2] {
     let truth = {
         let shot = Shot { size, depth: 2, filter: Filter::Point, run: 7, effort: 24, fps: 30 };
