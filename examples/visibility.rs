@@ -19,12 +19,12 @@ use std::path::Path;
 use std::sync::Arc;
 
 use afterimage::accel::{AcceptAll, HitFilter, Ray};
+use afterimage::counters::Counters;
 use afterimage::direct::{Candidates, Receiver, Time, candidates};
 use afterimage::frame::{FrameLoop, Stage};
 use afterimage::math::luminance;
 use afterimage::math::rng::{PathSeeds, Stream};
 use afterimage::metrics::{Comparison, Picture};
-use afterimage::path::Counters;
 use afterimage::plan::{Filter, Shot};
 use afterimage::scene::load::load;
 use afterimage::stats::{Moments, t_test};

@@ -70,6 +70,7 @@
 pub mod accel;
 #[cfg(feature = "cli")]
 pub mod cli;
+pub mod counters;
 pub mod direct;
 pub mod error;
 pub mod frame;
@@ -78,6 +79,7 @@ pub mod gpu;
 pub mod light;
 pub mod math;
 pub mod metrics;
+pub mod pass;
 pub mod path;
 pub mod picture;
 pub mod plan;

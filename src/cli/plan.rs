@@ -11,7 +11,7 @@ use super::engine::{self, Engine};
 use super::progress::Progress;
 use super::{Status, print};
 use crate::Result;
-use crate::path::Counters;
+use crate::counters::Counters;
 use crate::plan::{Domain, Elements, Plan, Runs, SceneFacts};
 use crate::report::{align, figure};
 use crate::techniques::Technique;

@@ -6,10 +6,10 @@ use pulp::{Arch, NullaryFnOnce};
 
 use super::{LightMeasure, Receiver, Sight};
 use crate::accel::Ray;
+use crate::counters::Counters;
 use crate::light::{EmitterPoint, EmitterPoints, LightPoint, NO_LIGHT};
 use crate::math::rng::{BLOCK_LIGHT, BLOCK_SCATTER, PathSeeds, RandomSource, draw4, unit_float};
 use crate::math::{LANES, Lanes, luminances};
-use crate::path::Counters;
 use crate::resampling::{Finished, Plain, Reservoir};
 use crate::world::World;
 

@@ -3,9 +3,10 @@
 use glam::Vec3;
 
 use crate::accel::{AcceptAll, Hit, HitFilter};
+use crate::counters::Counters;
 use crate::light::{Arrival, EmitterPoint, LightPoint, LightRemap};
 use crate::math::luminance;
-use crate::path::{Counters, shadow_ray};
+use crate::path::shadow_ray;
 use crate::resampling::{Measure, ShiftMap, Shifted};
 use crate::surface::SurfacePoint;
 use crate::world::World;

@@ -6,11 +6,11 @@ use glam::{Affine3A, Quat, Vec2, Vec3};
 
 use super::*;
 use crate::accel::{AcceptAll, BuildOptions, HitFilter, Ray};
+use crate::counters::Counters;
 use crate::light::{EmitterPoint, LightPoint, LightRemap, NO_LIGHT};
 use crate::math::rng::{
     BLOCK_LIGHT, BLOCK_SCATTER, PathSeeds, RandomSource, Stream, draw4, unit_float,
 };
-use crate::path::Counters;
 use crate::resampling::laws::check_shift;
 use crate::resampling::{
     Finished, Mutator, Plain, Proposal, Reservoir, ShiftMap, Shifted, metropolis, mutated_weight,

@@ -29,12 +29,7 @@ pub enum Visibility {
     /// Initial visibility is folded into W: fewer black samples, biased where pixels see different lights.
     Bitterli,
     /// A stored outcome is used again while it is fresh.
-    Reuse {
-        /// Frames that an outcome may be old; 255: any number.
-        max_age: u32,
-        /// Pixels that a sample may have come from since; 0: its own pixel only.
-        max_distance: u32,
-    },
+    Reuse,
     /// Outcomes are averaged under the distribution that the sample is drawn from.
     Wis,
     /// Outcomes correct an estimate that is kept beside the reservoir: unbiased for any weights and under motion.
@@ -42,8 +37,15 @@ pub enum Visibility {
 }
 
 impl Visibility {
-    /// With the limits of production.
-    pub const REUSE: Self = Self::Reuse { max_age: REUSE_AGE, max_distance: REUSE_DISTANCE };
+    /// All, in the order of the module's table.
+    pub const ALL: [Self; 6] = [
+        Self::Trace,
+        Self::InTarget,
+        Self::Bitterli,
+        Self::Reuse,
+        Self::Wis,
+        Self::WisControlVariate,
+    ];
 
     /// As in a SPEC.
     #[must_use]
@@ -52,15 +54,11 @@ impl Visibility {
             Self::Trace => "trace",
             Self::InTarget => "in-target",
             Self::Bitterli => "bitterli",
-            Self::Reuse { .. } => "reuse",
+            Self::Reuse => "reuse",
             Self::Wis => "wis",
             Self::WisControlVariate => "wis-cv",
         }
     }
-
-    /// All names.
-    pub const NAMES: [&'static str; 6] =
-        ["trace", "in-target", "bitterli", "reuse", "wis", "wis-cv"];
 }
 
 /// An outcome that may be used again: 1 bit visible, 7 bits distance in pixels, 8 bits age in frames, both saturating.

@@ -2,9 +2,9 @@
 
 use std::ops::Range;
 
-use crate::path::Counters;
+use crate::counters::Counters;
+use crate::pass::{Band, Buffer, MAX_WRITES};
 use crate::plan::{Domain, Pass, Plan};
-use crate::techniques::{Band, Buffer, MAX_WRITES};
 
 /// Rows of a task over single pixels: small enough to balance, large enough that rays of one task stay near each other.
 const ROWS_A_TASK: u32 = 4;

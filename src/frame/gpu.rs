@@ -6,15 +6,17 @@ use std::time::{Duration, Instant};
 
 use glam::{Vec3, Vec4};
 
+use crate::counters::Counters;
 use crate::error::{Error, Result};
 use crate::gpu::{
     CameraRecord, Gpu, Inputs, Kernel, Links, MAX_BUFFERS, ProjectionRecord, SceneBuffers,
     SceneConstants,
 };
-use crate::path::Counters;
+use crate::pass::Buffer;
 use crate::plan::{Domain, Elements, Filter, Kernel as PassKernel, Plan, Shot};
 use crate::scene::CameraRays;
-use crate::techniques::{Buffer, Motion, Technique, Twin};
+use crate::techniques::{Technique, Twin};
+use crate::world::Motion;
 use crate::world::World;
 
 /// Bytes before the timestamps in what is read back: room for all counters.

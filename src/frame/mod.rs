@@ -22,12 +22,15 @@ use glam::Vec3;
 pub use guides::Guides;
 
 use crate::accel::{BuildOptions, HitFilter, Ray};
+use crate::counters::Counters;
 use crate::error::{Error, Result};
-use crate::path::{Counters, emitted};
+use crate::pass::{Band, Buffer, FrameInputs, PrimaryHit};
+use crate::path::emitted;
 use crate::picture::Picture;
 use crate::plan::{BufferId, Elements, Kernel, Plan, Runs, SceneFacts, Shot};
 use crate::scene::{CameraRays, Scene};
-use crate::techniques::{Band, Buffer, FrameInputs, Motion, PrimaryHit, Technique};
+use crate::techniques::Technique;
+use crate::world::Motion;
 use crate::world::{WithFilter, World};
 
 /// A scene ready for any number of runs: its facts and its first frame's world, built once.
@@ -180,7 +183,8 @@ impl FrameLoop {
     /// A loop before its first frame, on the CPU.
     ///
     /// # Errors
-    /// A picture without pixels or with 2³¹ or more, a depth of 0, no effort, no frames a second.
+    /// A picture without pixels or with 2³¹ or more, a depth of 0, no effort, no frames a second;
+    /// parameters that [`Technique::validate`] refuses.
     pub fn new(technique: Arc<dyn Technique>, stage: &Stage, shot: Shot) -> Result<Self> {
         Self::with_backend(technique, stage, shot, &Backend::Cpu)
     }
@@ -207,6 +211,7 @@ impl FrameLoop {
                 "depth {depth}, effort {effort}, fps {fps}: each must be at least 1"
             )));
         }
+        technique.validate()?;
         let plan = technique.plan(&stage.facts, &shot);
         let world = stage.first.clone();
         // Here, so that loops made one after another and run side by side share the tree instead of building one each.

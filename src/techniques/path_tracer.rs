@@ -5,41 +5,50 @@
 
 use glam::Vec3;
 
-use super::{Band, Entry, FrameInputs, Parameter, PrimaryHit, Technique, Twin, Values};
+use super::spec::{self, Choice, Row, row};
+use super::{Entry, Technique, Twin};
 use crate::accel::{HitFilter, Ray};
+use crate::counters::Counters;
 use crate::error::Result;
 use crate::math::rng::path_seed;
-use crate::path::{Counters, Limits, emitted, finite_or_counted, sampled, scattered_radiance};
+use crate::pass::{Band, FrameInputs, PrimaryHit};
+use crate::path::{Limits, emitted, finite_or_counted, sampled, scattered_radiance};
 use crate::plan::{Claim, Domain, Filter, Kernel, Pass, Plan, Runs, SceneFacts, Shot, Skip};
 use crate::world::WithFilter;
 
-const ROULETTE: Parameter = Parameter {
-    key: "roulette",
-    about: "scatterings before Russian roulette may end a path, in [0, 1000]; lower is faster and noisier",
-    default: "5",
-};
-const LIGHTS: Parameter = Parameter {
-    key: "lights",
-    about: "lights sampled at a vertex: one, by power, or all; all takes a ray a light, and is the better reference where hundreds of small lights are seen directly",
-    default: "one",
-};
+/// The rows of `bsdf`; `nee` has all of [`rows`].
+fn rows_of_bsdf() -> [Row<PathTracer>; 1] {
+    [row!(
+        PathTracer,
+        "roulette",
+        roulette_after: 0..=1000,
+        "scatterings before Russian roulette may end a path; lower is faster and noisier"
+    )]
+}
+
+fn rows() -> [Row<PathTracer>; 2] {
+    let [roulette] = rows_of_bsdf();
+    let lights = row!(
+        PathTracer,
+        "lights",
+        choice lights: LightSampling,
+        "lights sampled at a vertex: one, by power, or all; all takes a ray a light, and is the better reference where hundreds of small lights are seen directly"
+    );
+    [roulette, lights]
+}
 
 pub(super) const BSDF: Entry = Entry {
     name: "bsdf",
     about: "path tracing by BSDF sampling alone (Kajiya 1986); cannot find point, spot and distant lights",
-    parameters: &[ROULETTE],
-    build: |values| PathTracer::from_values(LightSampling::None, values),
+    parameters: || spec::describe(&rows_of_bsdf(), &PathTracer::bsdf()),
+    build: |values| Ok(Box::new(spec::build(PathTracer::bsdf(), &rows_of_bsdf(), values)?)),
 };
 
 pub(super) const NEE: Entry = Entry {
     name: "nee",
     about: "path tracing with light sampling and MIS at every vertex (Veach 1997); the reference",
-    parameters: &[ROULETTE, LIGHTS],
-    build: |values| {
-        let all = [LightSampling::One, LightSampling::All];
-        let lights = all[values.choice("lights", 0, &["one", "all"])?];
-        PathTracer::from_values(lights, values)
-    },
+    parameters: || spec::describe(&rows(), &PathTracer::default()),
+    build: |values| Ok(Box::new(spec::build(PathTracer::default(), &rows(), values)?)),
 };
 
 /// Which lights a vertex samples.
@@ -51,6 +60,19 @@ pub enum LightSampling {
     One,
     /// Each of them once: time grows with their number, noise does not.
     All,
+}
+
+impl Choice for LightSampling {
+    /// Those of `nee`; `bsdf` has no choice.
+    const ALL: &'static [Self] = &[Self::One, Self::All];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::One => "one",
+            Self::All => "all",
+        }
+    }
 }
 
 /// `bsdf` and `nee`.
@@ -71,10 +93,10 @@ impl Default for PathTracer {
 }
 
 impl PathTracer {
-    fn from_values(lights: LightSampling, values: &mut Values) -> Result<Box<dyn Technique>> {
-        let default = Self { lights, ..Self::default() };
-        let roulette_after = values.integer("roulette", default.roulette_after, 0..=1000)?;
-        Ok(Box::new(Self { roulette_after, ..default }))
+    /// By BSDF sampling alone: `bsdf`.
+    #[must_use]
+    pub fn bsdf() -> Self {
+        Self { lights: LightSampling::None, ..Self::default() }
     }
 
     fn paths<const LIGHTS: u8, F: HitFilter>(
@@ -159,16 +181,14 @@ impl PathTracer {
 
 impl Technique for PathTracer {
     fn spec(&self) -> String {
-        let Self { lights, roulette_after } = *self;
-        let name = if lights == LightSampling::None { BSDF.name } else { NEE.name };
-        let mut keys = Vec::new();
-        if lights == LightSampling::All {
-            keys.push("lights=all".to_string());
+        match self.lights {
+            LightSampling::None => spec::write(BSDF.name, &Self::bsdf(), &rows_of_bsdf(), self),
+            _ => spec::write(NEE.name, &Self::default(), &rows(), self),
         }
-        if roulette_after != Self::default().roulette_after {
-            keys.push(format!("roulette={roulette_after}"));
-        }
-        if keys.is_empty() { name.into() } else { format!("{name}:{}", keys.join(",")) }
+    }
+
+    fn validate(&self) -> Result<()> {
+        spec::check(&rows(), self)
     }
 
     fn plan(&self, facts: &SceneFacts, shot: &Shot) -> Plan {

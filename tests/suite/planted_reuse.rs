@@ -6,13 +6,14 @@
 use std::time::Instant;
 
 use afterimage::accel::{AcceptAll, BuildOptions, Ray};
+use afterimage::counters::Counters;
 use afterimage::direct::{
     Candidates, LightMeasure, LightPointMutator, LightPoints, Receiver, Time, candidates,
 };
 use afterimage::light::LightPoint;
 use afterimage::math::luminance;
 use afterimage::math::rng::{BLOCK_LIGHT, PathSeeds, RandomSource, Stream, draw4, unit_float};
-use afterimage::path::{Counters, Limits, indirect_radiance, sampled, scattered_radiance};
+use afterimage::path::{Limits, indirect_radiance, sampled, scattered_radiance};
 use afterimage::resampling::{
     ContributionWeight, Family, Finished, Input, Plain, ShiftMap, Shifted, WithVisibility,
     metropolis, mutated_weight, spatial,

@@ -4,6 +4,7 @@ use glam::{Vec2, Vec3};
 
 use super::{BOILING_TILE, MAX_NEIGHBOURS, RestirDi, TILE_BLOCK, buffer, kernel};
 use crate::accel::{Hit, HitFilter};
+use crate::counters::Counters;
 use crate::direct::{
     Candidates, Chosen, Control, LightMeasure, LightPointMutator, LightPoints, Receiver, Record,
     Reused, TILE, TileEntry, Time, Visibility, candidates, fill_tile, pack_average, unpack_average,
@@ -11,16 +12,14 @@ use crate::direct::{
 use crate::light::LightPoint;
 use crate::math::rng::{PathSeeds, Purpose, RandomSource, Stream, path_seed};
 use crate::math::{octahedral_decode, octahedral_encode};
-use crate::path::{
-    Counters, Limits, finite_or_counted, indirect_radiance, sampled, scattered_radiance,
-};
+use crate::pass::{Band, FrameInputs, PrimaryHit};
+use crate::path::{Limits, finite_or_counted, indirect_radiance, sampled, scattered_radiance};
 use crate::plan::{BufferId, Plan};
 use crate::resampling::{
     ContributionWeight, ControlVariate, DecoupledState, Estimator, Finished, Input, Merged, Others,
     Plain, Reservoir, Selected, SelectedState, ShiftMap, Shifted, WithRadiance, WithVisibility,
     metropolis, mutated_weight, spatial, temporal,
 };
-use crate::techniques::{Band, FrameInputs, PrimaryHit};
 use crate::world::WithFilter;
 
 /// The policies as numbers, for kernels that are compiled for one.
@@ -74,7 +73,7 @@ pub(super) fn run(
                 Visibility::Trace => at.reuse::<{ policy::TRACE }, false>(kernel, band),
                 Visibility::InTarget => at.reuse::<{ policy::IN_TARGET }, true>(kernel, band),
                 Visibility::Bitterli => at.reuse::<{ policy::BITTERLI }, false>(kernel, band),
-                Visibility::Reuse { .. } => at.reuse::<{ policy::REUSE }, false>(kernel, band),
+                Visibility::Reuse => at.reuse::<{ policy::REUSE }, false>(kernel, band),
                 Visibility::Wis => at.reuse::<{ policy::WIS }, false>(kernel, band),
                 Visibility::WisControlVariate => {
                     at.reuse::<{ policy::CONTROL }, false>(kernel, band)
@@ -946,8 +945,8 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
     }
 
     fn usable(&self, stored: Reused) -> bool {
-        matches!(self.technique.visibility, Visibility::Reuse { max_age, max_distance }
-            if stored.usable(max_age, max_distance))
+        let RestirDi { visibility, visibility_age, visibility_distance, .. } = *self.technique;
+        visibility == Visibility::Reuse && stored.usable(visibility_age, visibility_distance)
     }
 
     /// The stored outcome of the own sample, as old as it is, or a ray's where it may not be used.

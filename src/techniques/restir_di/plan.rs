@@ -177,7 +177,7 @@ impl<'a> Planner<'a> {
                         + round * pairs(self.technique.mis)
                         + u64::from(mutations)
                 }
-                Visibility::Reuse { .. } => 2 + decoupled * k + changed,
+                Visibility::Reuse => 2 + decoupled * k + changed,
                 Visibility::Wis => 1 + round * k,
                 Visibility::WisControlVariate => 1 + temporal * moving + round * k + changed,
             }

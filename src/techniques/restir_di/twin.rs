@@ -14,7 +14,7 @@ impl RestirDi {
             Visibility::Trace => 0,
             Visibility::InTarget => 1,
             Visibility::Bitterli => 2,
-            Visibility::Reuse { .. } => 3,
+            Visibility::Reuse => 3,
             Visibility::Wis => 4,
             Visibility::WisControlVariate => 5,
         };
@@ -37,9 +37,9 @@ impl RestirDi {
             ("B_CONTROLS", id(buffer::CONTROLS)),
             ("B_HISTORY_CONTROLS", id(buffer::HISTORY_CONTROLS)),
         ];
-        if let Visibility::Reuse { max_age, max_distance } = self.visibility {
-            constants.push(("VISIBILITY_AGE", f64::from(max_age)));
-            constants.push(("VISIBILITY_DISTANCE", f64::from(max_distance)));
+        if self.visibility == Visibility::Reuse {
+            constants.push(("VISIBILITY_AGE", f64::from(self.visibility_age)));
+            constants.push(("VISIBILITY_DISTANCE", f64::from(self.visibility_distance)));
         }
         let place = |family: Family| {
             let place = Family::ALL.iter().position(|f| *f == family);
