@@ -70,21 +70,13 @@ fn the_table_of_the_page() {
             merged(family, a, b, random)
         });
         assert_row(family.name(), &outcomes, mean, deviation);
-        // The count of each lamp times W: 1 where a can draw it, and only half of lamp 4 with
-        // halves.
-        for lamp in 0..4 {
+        // The count of each lamp times W. Lamp 3 gives a nothing, and halves lose half of lamp 4.
+        let last = if family == Family::Constant { 0.5 } else { 1.0 };
+        for (lamp, truth) in [1.0, 1.0, 0.0, last].into_iter().enumerate() {
             let count = expectation(&outcomes, |(finished, _)| {
                 let weight = f64::from(finished.weight.get());
                 if finished.sample == Some(lamp) { weight } else { 0.0 }
             });
-            let half = family == Family::Constant && lamp == 3;
-            let truth = if A[lamp] == 0.0 {
-                0.0
-            } else if half {
-                0.5
-            } else {
-                1.0
-            };
             assert!((count - truth).abs() < 1e-5, "{}, lamp {lamp}: {count}", family.name());
         }
     }
