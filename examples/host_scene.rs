@@ -1,4 +1,5 @@
-//! A host's own scene in the frame loop: geometry made in code, a lamp that the host moves from frame to frame.
+//! A host's own scene in the frame loop: geometry made in code, a lamp that the host moves from
+//! frame to frame.
 //!
 //! ```sh
 //! cargo run --release --example host_scene

@@ -1,7 +1,8 @@
-//! A steady frame of a still scene allocates nothing: every buffer is the loop's, made when the loop is. And what is made is given back (Z4, Z8 of
-//! `docs/testing.md`).
+//! A steady frame of a still scene allocates nothing: every buffer is the loop's, made when the
+//! loop is. And what is made is given back (Z4, Z8 of `docs/testing.md`).
 //!
-//! A test program of its own, because it counts what the whole process allocates; its tests take turns.
+//! A test program of its own, because it counts what the whole process allocates; its tests take
+//! turns.
 
 use std::alloc::System;
 use std::sync::{Arc, Mutex};

@@ -1,6 +1,7 @@
 //! The laws in the documentation of `Technique`, for every entry of the registry.
 //!
-//! The third, that means agree with claims, is what `oracles` tests for unbiased ones; here a biased one must be what it says.
+//! The third, that means agree with claims, is what `oracles` tests for unbiased ones; here a
+//! biased one must be what it says.
 
 use std::sync::Arc;
 
@@ -122,7 +123,8 @@ fn counters_stay_within_the_plan_and_buffers_within_reason() {
     }
 }
 
-/// Runs a plan's passes over single pixels in bands of `rows` rows, in reverse order, without the frame loop.
+/// Runs a plan's passes over single pixels in bands of `rows` rows, in reverse order, without the
+/// frame loop.
 fn in_bands(technique: &dyn Technique, stage: &Stage, shot: Shot, rows: u32) -> Vec<[u32; 3]> {
     let world = stage.first_world();
     let plan = technique.plan(stage.facts(), &shot);

@@ -1,4 +1,5 @@
-//! The import table of `docs/architecture.md`, enforced: a module may use the modules of its own row only.
+//! The import table of `docs/architecture.md`, enforced: a module may use the modules of its own
+//! row only.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -100,7 +101,8 @@ fn sources(folder: &Path, out: &mut Vec<PathBuf>) {
     }
 }
 
-/// Every `crate::name` of a source with its line number; items that only tests see may use anything.
+/// Every `crate::name` of a source with its line number; items that only tests see may use
+/// anything.
 fn imports(text: &str) -> Vec<(usize, String)> {
     let mut found = Vec::new();
     let mut lines = text.lines().enumerate();

@@ -1,5 +1,5 @@
-//! The integration tests: one binary, one module a question. Statistical tests state their α and what they can detect; each has a
-//! control that must fail.
+//! The integration tests: one binary, one module a question. Statistical tests state their α and
+//! what they can detect; each has a control that must fail.
 
 #[cfg(feature = "cli")]
 mod cli;
