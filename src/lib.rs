@@ -71,7 +71,6 @@ pub mod accel;
 #[cfg(feature = "cli")]
 pub mod cli;
 pub mod counters;
-pub mod direct;
 pub mod error;
 pub mod frame;
 #[cfg(feature = "gpu")]
@@ -86,7 +85,9 @@ pub mod plan;
 #[cfg(feature = "cli")]
 pub mod report;
 pub mod resampling;
+pub mod reuse;
 pub mod scene;
+pub mod spec;
 pub mod stats;
 pub mod surface;
 pub mod techniques;

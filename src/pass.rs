@@ -1,13 +1,19 @@
-//! What a technique's kernel is given: the frame's inputs to read, and a band of its own elements to write.
+//! What a technique's kernel is given: the frame's inputs to read, and a band of its own elements to
+//! write.
+//!
+//! A pass over pixels or items walks over its band. A pass over tiles walks over [`Band::tiles`]:
+//! a tile lies in one band and is worked on by one thread, so its lanes exchange state through
+//! local arrays of the kernel, one step after another. Tiles at the picture's edges are partial:
+//! lanes outside of it have no pixel, and take part in the exchange all the same.
 
 use std::ops::Range;
 
 use bytemuck::{Pod, Zeroable};
-use glam::Vec2;
+use glam::{Vec2, Vec3};
 
 use crate::accel::Hit;
-use crate::math::rng::{Purpose, RandomSource, Stream};
-use crate::plan::{BufferId, Filter, Plan, Shot};
+use crate::math::rng::{PathSeeds, Purpose, RandomSource, Stream};
+use crate::plan::{BufferId, BufferKey, Filter, Plan, Shot};
 use crate::scene::CameraRays;
 use crate::world::{Motion, World};
 
@@ -59,6 +65,91 @@ impl FrameInputs<'_> {
         bytemuck::cast_slice(&self.buffers[id.0].previous)
     }
 
+    /// The buffer of a key.
+    ///
+    /// # Panics
+    /// Where the plan has no such buffer: a technique reads what its own plan made.
+    #[inline]
+    #[must_use]
+    pub fn id<T>(&self, key: BufferKey<T>) -> BufferId {
+        self.plan.id(key).unwrap_or_else(|| {
+            panic!("the plan of `{}` has no buffer `{}`", self.plan.technique, key.name)
+        })
+    }
+
+    /// A buffer that an earlier pass of this frame wrote, by its key.
+    ///
+    /// # Panics
+    /// As [`FrameInputs::id`].
+    #[inline]
+    #[must_use]
+    pub fn at<T: Pod>(&self, key: BufferKey<T>) -> &[T] {
+        self.read(self.id(key))
+    }
+
+    /// A buffer as the previous frame left it, by its key; empty in the first frame.
+    ///
+    /// # Panics
+    /// As [`FrameInputs::id`].
+    #[inline]
+    #[must_use]
+    pub fn at_previous<T: Pod>(&self, key: BufferKey<T>) -> &[T] {
+        self.read_previous(self.id(key))
+    }
+
+    /// As [`FrameInputs::at`]; nothing where the plan leaves the buffer out.
+    #[inline]
+    #[must_use]
+    pub fn some<T: Pod>(&self, key: BufferKey<T>) -> &[T] {
+        self.plan.id(key).map_or(&[], |id| self.read(id))
+    }
+
+    /// How many independent estimates a pixel gets in this frame.
+    #[inline]
+    #[must_use]
+    pub fn estimates(&self, pixel: Pixel) -> u32 {
+        let _ = pixel;
+        self.shot.effort
+    }
+
+    /// Unit direction of a pixel's first primary ray.
+    #[inline]
+    #[must_use]
+    pub fn primary_direction(&self, pixel: Pixel) -> Vec3 {
+        self.camera.ray(self.sample_position(pixel.x, pixel.y, 0)).direction
+    }
+
+    /// The same in the previous frame; `None` in the first, and where nothing moves.
+    #[inline]
+    #[must_use]
+    pub fn primary_direction_before(&self, pixel: Pixel) -> Option<Vec3> {
+        let frame = self.frame.wrapping_sub(1);
+        let position = self.sample_position_in(frame, pixel.x, pixel.y, 0);
+        Some(self.motion?.camera.ray(position).direction)
+    }
+
+    /// The path seeds of a pixel in this frame: the only place that makes them.
+    #[inline]
+    #[must_use]
+    pub fn seeds(&self, pixel: u32) -> PathSeeds {
+        PathSeeds::new(self.shot.run, pixel, self.frame)
+    }
+
+    /// The numbers of a cell (a pixel, tile or item) in this frame for one purpose and round.
+    #[inline]
+    #[must_use]
+    pub fn stream(&self, cell: u32, purpose: Purpose, round: u32) -> Stream {
+        Stream::new(self.shot.run, cell, self.frame, purpose, round)
+    }
+
+    /// Where the surface point of a hit of this frame was in the previous frame; `None` in the
+    /// first frame, without motion between the frames, and where the surface was not there.
+    #[inline]
+    #[must_use]
+    pub fn position_before(&self, hit: &Hit) -> Option<Vec3> {
+        self.motion?.position(self.previous?, self.world, hit)
+    }
+
     /// Where sample `sample` of a pixel lies, in pixels from the upper left corner.
     #[inline]
     #[must_use]
@@ -82,6 +173,58 @@ impl FrameInputs<'_> {
     }
 }
 
+/// A pixel of the picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Pixel {
+    /// Its place in the picture's buffers, row by row.
+    pub index: u32,
+    /// Its column.
+    pub x: u32,
+    /// Its row.
+    pub y: u32,
+}
+
+/// The grid of a pass over tiles in one frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TileGrid {
+    /// Pixels across and down a tile.
+    pub size: [u32; 2],
+    /// The grid begins at −origin; below `size`.
+    pub origin: [u32; 2],
+}
+
+/// One tile of a grid; its lanes are numbered row by row.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Tile {
+    /// The tile's number in its grid, row by row.
+    pub index: u32,
+    corner: [i64; 2],
+    size: [u32; 2],
+    picture: [u32; 2],
+}
+
+impl Tile {
+    /// Lanes of a whole tile.
+    #[inline]
+    #[must_use]
+    pub fn lanes(&self) -> u32 {
+        self.size[0] * self.size[1]
+    }
+
+    /// The pixel of a lane; `None` outside of the picture.
+    #[inline]
+    #[must_use]
+    pub fn pixel(&self, lane: u32) -> Option<Pixel> {
+        let x = self.corner[0] + i64::from(lane % self.size[0]);
+        let y = self.corner[1] + i64::from(lane / self.size[0]);
+        let [width, height] = self.picture.map(i64::from);
+        ((0..width).contains(&x) && (0..height).contains(&y)).then(|| {
+            let (x, y) = (x as u32, y as u32);
+            Pixel { index: y * self.picture[0] + x, x, y }
+        })
+    }
+}
+
 /// The elements that one task of a pass owns: whole rows of the picture, or a range of items.
 #[derive(Debug)]
 pub struct Band<'a> {
@@ -89,21 +232,88 @@ pub struct Band<'a> {
     pub range: Range<u32>,
     /// Elements a row: the picture's width, or 1 for items.
     pub width: u32,
+    grid: Option<TileGrid>,
+    writes: [BufferId; MAX_WRITES],
     slots: [&'a mut [u32]; MAX_WRITES],
 }
 
 impl<'a> Band<'a> {
-    /// A band with its part of each written buffer, in the order of the pass's list.
+    /// A band with its part of each of the buffers `writes`, in their order.
     #[must_use]
-    pub fn new(range: Range<u32>, width: u32, slots: [&'a mut [u32]; MAX_WRITES]) -> Self {
-        Self { range, width, slots }
+    pub fn new(
+        range: Range<u32>,
+        width: u32,
+        writes: &[BufferId],
+        slots: [&'a mut [u32]; MAX_WRITES],
+    ) -> Self {
+        let none = BufferId(usize::MAX);
+        let writes = std::array::from_fn(|slot| writes.get(slot).copied().unwrap_or(none));
+        Self { range, width, grid: None, writes, slots }
     }
 
-    /// The band's elements of the pass's written buffer number `slot`, row by row. Each slot can be taken once.
+    /// The same band of a pass over tiles; its rows begin and end where tiles do, or where the
+    /// picture does.
+    #[must_use]
+    pub fn with_tiles(self, grid: TileGrid) -> Self {
+        Self { grid: Some(grid), ..self }
+    }
+
+    /// The band's elements of a buffer that the pass writes, row by row; each can be taken once.
+    ///
+    /// # Panics
+    /// Where the pass does not write the buffer, or it was taken already.
     #[inline]
     #[must_use]
-    pub fn take<T: Pod>(&mut self, slot: usize) -> &'a mut [T] {
+    pub fn take<T: Pod>(&mut self, id: BufferId) -> &'a mut [T] {
+        let slot = self.writes.iter().position(|written| *written == id);
+        let slot = slot.unwrap_or_else(|| panic!("the pass does not write buffer {}", id.0));
+        self.writes[slot] = BufferId(usize::MAX);
         bytemuck::cast_slice_mut(std::mem::take(&mut self.slots[slot]))
+    }
+
+    /// As [`Band::take`]; nothing for a buffer that the plan leaves out.
+    #[inline]
+    #[must_use]
+    pub fn take_some<T: Pod>(&mut self, id: Option<BufferId>) -> &'a mut [T] {
+        id.map_or(&mut [], |id| self.take(id))
+    }
+
+    /// The band's pixels, row by row.
+    #[inline]
+    pub fn pixels(&self) -> impl Iterator<Item = Pixel> + use<> {
+        let (rows, width) = (self.range.clone(), self.width);
+        rows.flat_map(move |y| (0..width).map(move |x| Pixel { index: y * width + x, x, y }))
+    }
+
+    /// Where a pixel of the band lies in what [`Band::take`] gives.
+    #[inline]
+    #[must_use]
+    pub fn local(&self, pixel: Pixel) -> usize {
+        (pixel.index - self.range.start * self.width) as usize
+    }
+
+    /// The band's tiles in a picture of `size` pixels, row by row.
+    ///
+    /// # Panics
+    /// Where the pass has another domain.
+    pub fn tiles(&self, size: [u32; 2]) -> impl Iterator<Item = Tile> + use<> {
+        let TileGrid { size: tile, origin } = self.grid.expect("a pass over tiles");
+        let columns = (size[0] + origin[0]).div_ceil(tile[0]);
+        let first = (self.range.start + origin[1]) / tile[1];
+        let end = (self.range.end + origin[1]).div_ceil(tile[1]);
+        (first..end).flat_map(move |row| {
+            (0..columns).map(move |column| {
+                let corner = |at: u32, axis: usize| {
+                    i64::from(at) * i64::from(tile[axis]) - i64::from(origin[axis])
+                };
+                Tile {
+                    index: row * columns + column,
+                    corner: [corner(column, 0), corner(row, 1)],
+                    size: tile,
+                    picture: size,
+                }
+            })
+        })
     }
 }
 

@@ -128,8 +128,9 @@ pub(crate) fn twins(technique: &dyn Technique, plan: &Plan) -> Option<Vec<Twin>>
 fn groups(domain: Domain, size: [u32; 2]) -> [u32; 2] {
     match domain {
         Domain::Pixels => size.map(|side| side.div_ceil(8)),
-        Domain::Tiles { width, height, origin } => {
-            [(size[0] + origin[0]).div_ceil(width), (size[1] + origin[1]).div_ceil(height)]
+        // Room for the largest origin that a grid may have.
+        Domain::Tiles { width, height, .. } => {
+            [(size[0] + width - 1).div_ceil(width), (size[1] + height - 1).div_ceil(height)]
         }
         Domain::Items(n) => [n.div_ceil(256), 1],
     }
@@ -294,7 +295,9 @@ impl Runner {
             let motion = frame.motion;
             let links = Links {
                 lights: motion.and_then(|m| m.lights.as_ref()).map(|remap| remap.tables()),
-                instances: motion.and_then(|m| m.instances.as_deref()),
+                instances: motion
+                    .and_then(|m| m.instances.as_ref())
+                    .map(|remap| remap.previous_places()),
             };
             if frame.index == 0 {
                 // A host's first scene is not the stage's.

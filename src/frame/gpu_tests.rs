@@ -114,7 +114,7 @@ fn same_element(name: &str, a: &[u32], b: &[u32]) -> bool {
         }),
         // Signed sums, whose terms may cancel: with 10⁻³ instead, 3 of 3,072 differ.
         "controls" | "history controls" => {
-            let words = |w: &[u32]| -> crate::direct::Control { bytemuck::cast([w[0], w[1]]) };
+            let words = |w: &[u32]| -> crate::reuse::Control { bytemuck::cast([w[0], w[1]]) };
             let (a, b) = (words(a), words(b));
             let scale = a.estimate().abs().max_element().max(b.estimate().abs().max_element());
             a.visible() == b.visible()

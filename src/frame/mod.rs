@@ -452,7 +452,7 @@ impl FrameLoop {
             self.world.prepare_emitters()?;
         }
         let motion = match &self.previous {
-            Some(previous) if self.plan.keeps_history() && self.plan.constant("still") == 0 => {
+            Some(previous) if self.plan.keeps_history() && !self.plan.still => {
                 Some(Motion::new(previous, &self.world, self.shot.size))
             }
             _ => None,
@@ -524,8 +524,12 @@ impl FrameLoop {
             let begin = Instant::now();
             let (world, previous, shot) = (&*self.world, self.previous.as_deref(), self.shot);
             let technique = &*self.technique;
-            let work =
-                cpu::run_pass(pass, &self.plan, shot.size, &mut self.buffers, |buffers, band| {
+            let work = cpu::run_pass(
+                pass,
+                &self.plan,
+                (&shot, index),
+                &mut self.buffers,
+                |buffers, band| {
                     let inputs = FrameInputs {
                         world,
                         previous,
@@ -540,7 +544,8 @@ impl FrameLoop {
                         Kernel::PrimaryHits => primary_hits(&inputs, band),
                         Kernel::Technique(kernel) => technique.run(kernel, &inputs, band),
                     }
-                });
+                },
+            );
             counters = counters + work;
             add_pass(&mut self.passes, pass.name, begin.elapsed().as_secs_f64() * 1e3);
         }
@@ -696,8 +701,8 @@ fn primary_hits(inputs: &FrameInputs<'_>, band: &mut Band<'_>) -> Counters {
         fn run<F: HitFilter + Sync>(self, filter: F) -> Counters {
             let Self(inputs, band) = self;
             let world = inputs.world;
-            let hits: &mut [PrimaryHit] = band.take(0);
-            let emission: &mut [[f32; 3]] = band.take(1);
+            let hits: &mut [PrimaryHit] = band.take(Plan::HITS);
+            let emission: &mut [[f32; 3]] = band.take(Plan::EMISSION);
             let first = band.range.start * band.width;
             for (local, (out, seen)) in hits.iter_mut().zip(emission).enumerate() {
                 let pixel = first + local as u32;

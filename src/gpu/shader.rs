@@ -21,8 +21,8 @@ use crate::error::{Error, Result};
 pub mod wgsl {
     /// Random numbers by purpose, bit-equal to [`crate::math::rng`].
     pub const RNG: &str = include_str!("../math/rng.wgsl");
-    pub use crate::direct::VISIBILITY_WGSL as VISIBILITY;
     pub use crate::resampling::{MERGE_WGSL as MERGE, RESAMPLING_WGSL as RESAMPLING};
+    pub use crate::reuse::light_points::VISIBILITY_WGSL as VISIBILITY;
 }
 
 /// What every kernel that knows the scene is made of.

@@ -5,13 +5,12 @@
 
 mod path_tracer;
 mod restir_di;
-pub mod spec;
 
 use std::fmt;
 
+pub use crate::spec::{Parameter, Values};
 pub use path_tracer::{LightSampling, PathTracer};
-pub use restir_di::{LightTiles, MAX_NEIGHBOURS, RestirDi};
-pub use spec::{Parameter, Values};
+pub use restir_di::{LightTiles, RestirDi};
 
 use crate::counters::Counters;
 use crate::error::{Error, Result, suggest};
@@ -24,7 +23,7 @@ use crate::plan::{Plan, SceneFacts, Shot};
 /// 1. `parse(technique.spec())` gives the same technique.
 /// 2. A kernel's writes depend on its inputs only, not on how the picture is cut into bands.
 /// 3. The mean over runs agrees with `plan().claim`.
-/// 4. No frame uses more rays of a kind than `plan().rays_per_pixel` says.
+/// 4. No frame uses more rays of a kind than `plan().rays_per_pixel()` says.
 pub trait Technique: fmt::Debug + Send + Sync {
     /// The canonical SPEC: the name, and the parameters that differ from their defaults.
     fn spec(&self) -> String;

@@ -5,15 +5,14 @@
 
 use glam::Vec3;
 
-use super::spec::{self, Choice, Row, row};
 use super::{Entry, Technique, Twin};
 use crate::accel::{HitFilter, Ray};
 use crate::counters::Counters;
 use crate::error::Result;
-use crate::math::rng::path_seed;
 use crate::pass::{Band, FrameInputs, PrimaryHit};
 use crate::path::{Limits, emitted, finite_or_counted, sampled, scattered_radiance};
-use crate::plan::{Claim, Domain, Filter, Kernel, Pass, Plan, Runs, SceneFacts, Shot, Skip};
+use crate::plan::{Builder, Claim, Filter, NewPass, Plan, SceneFacts, Shot};
+use crate::spec::{self, Choice, Row, row};
 use crate::world::WithFilter;
 
 /// The rows of `bsdf`; `nee` has all of [`rows`].
@@ -107,7 +106,7 @@ impl PathTracer {
     ) -> Counters {
         let shot = inputs.shot;
         let limits = Limits { depth: shot.depth, roulette_after: self.roulette_after };
-        let radiance: &mut [[f32; 3]] = band.take(0);
+        let radiance: &mut [[f32; 3]] = band.take(Plan::RADIANCE);
         let mut counters = Counters::default();
         let mean = 1.0 / shot.effort as f32;
         match shot.filter {
@@ -122,7 +121,7 @@ impl PathTracer {
                             inputs.sample_position(pixel % band.width, pixel / band.width, 0);
                         let direction = inputs.camera.ray(position).direction;
                         for sample in 0..shot.effort {
-                            let seed = path_seed(shot.run, pixel, inputs.frame, sample);
+                            let seed = inputs.seeds(pixel).seed(sample);
                             let path = scattered_radiance::<LIGHTS, F>(
                                 inputs.world,
                                 filter,
@@ -138,7 +137,7 @@ impl PathTracer {
                 }
             }
             Filter::Box => {
-                let emission: &mut [[f32; 3]] = band.take(1);
+                let emission: &mut [[f32; 3]] = band.take(Plan::EMISSION);
                 let first = band.range.start * band.width;
                 for (local, (out, seen)) in radiance.iter_mut().zip(emission).enumerate() {
                     let pixel = first + local as u32;
@@ -159,7 +158,7 @@ impl PathTracer {
                         };
                         direct +=
                             emitted(inputs.world, &inputs.world.accel.point(&hit), ray.direction);
-                        let seed = path_seed(shot.run, pixel, inputs.frame, sample);
+                        let seed = inputs.seeds(pixel).seed(sample);
                         let path = scattered_radiance::<LIGHTS, F>(
                             inputs.world,
                             filter,
@@ -192,82 +191,42 @@ impl Technique for PathTracer {
     }
 
     fn plan(&self, facts: &SceneFacts, shot: &Shot) -> Plan {
-        let mut skipped = Vec::new();
-        let still = !facts.moving_camera && !facts.moving_geometry;
-        let mut passes = Vec::new();
-        let bounces = u64::from(shot.depth.saturating_sub(1));
+        let mut plan = Builder::new(self.spec(), facts, shot);
         let samples = u64::from(shot.effort);
-        let mut primary = samples;
-        match shot.filter {
-            Filter::Point => {
-                primary = 1;
-                passes.push(Pass {
-                    name: "primary hits",
-                    kernel: Kernel::PrimaryHits,
-                    domain: Domain::Pixels,
-                    writes: vec![Plan::HITS, Plan::EMISSION],
-                    runs: if still && !facts.moving_lights { Runs::Once } else { Runs::Always },
-                });
-                if shot.effort > 1 {
-                    skipped.push(Skip {
-                        what: "primary rays after a pixel's first sample",
-                        because: "the filter is a point",
-                    });
-                }
-                if still && !facts.moving_lights {
-                    skipped.push(Skip {
-                        what: "primary rays after the first frame",
-                        because: "nothing moves",
-                    });
-                }
-                passes.push(Pass {
-                    name: "paths",
-                    kernel: Kernel::Technique(0),
-                    domain: Domain::Pixels,
-                    writes: vec![Plan::RADIANCE],
-                    runs: Runs::Always,
-                });
-            }
-            Filter::Box => passes.push(Pass {
-                name: "paths",
-                kernel: Kernel::Technique(0),
-                domain: Domain::Pixels,
-                writes: vec![Plan::RADIANCE, Plan::EMISSION],
-                runs: Runs::Always,
-            }),
-        }
+        let bounces = u64::from(shot.depth.saturating_sub(1)) * samples;
         let sampled = match self.lights {
             LightSampling::None => 0,
             LightSampling::One => u64::from(facts.light_count().min(1)),
             LightSampling::All => u64::from(facts.light_count()),
         };
+        let paths =
+            |writes| NewPass::pixels("paths", 0, writes).rays(bounces, bounces * sampled, 0);
+        match shot.filter {
+            Filter::Point => {
+                if shot.effort > 1 {
+                    plan.skip("primary rays after a pixel's first sample", "the filter is a point");
+                }
+                plan.primary_hits();
+                plan.pass(paths(vec![Plan::RADIANCE]));
+            }
+            Filter::Box => {
+                let mut pass = paths(vec![Plan::RADIANCE, Plan::EMISSION]);
+                pass.rays[0] = samples;
+                plan.pass(pass);
+            }
+        }
         if self.lights != LightSampling::None && sampled == 0 {
-            skipped.push(Skip { what: "light sampling", because: "no light emits anything" });
+            plan.skip("light sampling", "no light emits anything");
         }
-        if !facts.alpha {
-            skipped.push(Skip {
-                what: "coverage lookups at every hit",
-                because: "no surface has a coverage mask",
-            });
-        }
+        plan.skip_coverage();
         if facts.lights.environments == 0 {
-            skipped.push(Skip { what: "environment lookups", because: "there is no environment" });
+            plan.skip("environment lookups", "there is no environment");
         }
-        let claim = if self.lights == LightSampling::None && facts.lights.delta > 0 {
+        plan.finish(if self.lights == LightSampling::None && facts.lights.delta > 0 {
             Claim::Biased("BSDF sampling never finds point, spot and distant lights".into())
         } else {
             Claim::Unbiased
-        };
-        Plan {
-            technique: self.spec(),
-            passes,
-            buffers: Plan::standard_buffers(),
-            skipped,
-            rays_per_pixel: [primary, bounces * samples, bounces * samples * sampled, 0],
-            constants: Vec::new(),
-            emitters: false,
-            claim,
-        }
+        })
     }
 
     fn twin(&self, _kernel: u32, _plan: &Plan) -> Option<Twin> {

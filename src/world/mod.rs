@@ -13,7 +13,7 @@ use crate::light::{LightPoint, Lights};
 use crate::scene::{Geometry, Object, ObjectId, Scene};
 use crate::surface::{AlphaMask, ShapeInfo, SurfacePoint, placed_shapes};
 
-pub use motion::Motion;
+pub use motion::{InstanceRemap, Motion};
 
 /// Everything that a path needs to know of the scene in one frame.
 #[derive(Clone, Debug)]

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use afterimage::accel::Ray;
 use afterimage::frame::{FrameLoop, Stage};
-use afterimage::pass::{Band, Buffer, FrameInputs, MAX_WRITES, PrimaryHit};
+use afterimage::pass::{Band, Buffer, FrameInputs, MAX_WRITES, PrimaryHit, TileGrid};
 use afterimage::plan::{BufferPlan, Claim, Domain, Elements, Filter, Kernel, Plan, Runs, Shot};
 use afterimage::scene::{LightKind, Scalar, Scene};
 use afterimage::techniques::{REGISTRY, Technique, parse};
@@ -110,7 +110,7 @@ fn counters_stay_within_the_plan_and_buffers_within_reason() {
                         entry.name,
                         stage.scene().name
                     );
-                    let most = plan.rays_per_pixel.map(|rays| rays * shot.pixels() as u64);
+                    let most = plan.rays_per_pixel().map(|rays| rays * shot.pixels() as u64);
                     assert!(work.primary_rays <= most[0], "{at}");
                     assert!(work.bounce_rays <= most[1], "{at}");
                     assert!(work.shadow_rays <= most[2], "{at}");
@@ -123,8 +123,24 @@ fn counters_stay_within_the_plan_and_buffers_within_reason() {
     }
 }
 
-/// Runs a plan's passes over single pixels in bands of `rows` rows, in reverse order, without the
-/// frame loop.
+/// Rows or items at which a domain may be cut, about `rows` apart: anywhere, but for tiles only
+/// where one begins.
+fn cuts(domain: Domain, shot: Shot, rows: u32) -> (Vec<u32>, Option<TileGrid>) {
+    let height = shot.size[1];
+    match domain {
+        Domain::Pixels => ((0..height).step_by(rows as usize).collect(), None),
+        Domain::Items(n) => ((0..n).step_by(7 * rows as usize).collect(), None),
+        Domain::Tiles { width, height: down, grid } => {
+            let size = [width, down];
+            let origin = grid.origin(size, shot.run, 0);
+            let step = down * rows.div_ceil(down);
+            let starts = (0..height).filter(|&row| row == 0 || (row + origin[1]) % step == 0);
+            (starts.collect(), Some(TileGrid { size, origin }))
+        }
+    }
+}
+
+/// Runs a plan's passes in bands of about `rows` rows, in reverse order, without the frame loop.
 fn in_bands(technique: &dyn Technique, stage: &Stage, shot: Shot, rows: u32) -> Vec<[u32; 3]> {
     let world = stage.first_world();
     let plan = technique.plan(stage.facts(), &shot);
@@ -133,8 +149,11 @@ fn in_bands(technique: &dyn Technique, stage: &Stage, shot: Shot, rows: u32) -> 
         .buffers
         .iter()
         .map(|buffer| {
-            assert_eq!(buffer.elements, Elements::Pixels);
-            let words = vec![0; shot.pixels() * buffer.bytes as usize / 4];
+            let elements = match buffer.elements {
+                Elements::Pixels => shot.pixels(),
+                Elements::Items(n) => n as usize,
+            };
+            let words = vec![0; elements * buffer.bytes as usize / 4];
             Buffer { previous: Vec::new(), current: words }
         })
         .collect();
@@ -143,7 +162,6 @@ fn in_bands(technique: &dyn Technique, stage: &Stage, shot: Shot, rows: u32) -> 
         world.prepare_emitters().unwrap();
     }
     for pass in plan.passes.iter().filter(|pass| pass.runs != Runs::WithHistory) {
-        assert_eq!(pass.domain, Domain::Pixels, "another domain needs a test of its own");
         let mut owned: Vec<Vec<u32>> =
             pass.writes.iter().map(|id| std::mem::take(&mut buffers[id.0].current)).collect();
         let inputs = FrameInputs {
@@ -168,15 +186,23 @@ fn in_bands(technique: &dyn Technique, stage: &Stage, shot: Shot, rows: u32) -> 
                 }
             }
             Kernel::Technique(kernel) => {
-                let starts: Vec<u32> = (0..height).step_by(rows as usize).collect();
-                for &start in starts.iter().rev() {
-                    let range = start..(start + rows).min(height);
+                let (starts, tiles) = cuts(pass.domain, shot, rows);
+                let (end, across) = match pass.domain {
+                    Domain::Items(n) => (n, 1),
+                    _ => (height, width),
+                };
+                for (at, &start) in starts.iter().enumerate().rev() {
+                    let range = start..starts.get(at + 1).copied().unwrap_or(end);
                     let mut slots: [&mut [u32]; MAX_WRITES] = Default::default();
                     for ((slot, words), id) in slots.iter_mut().zip(&mut owned).zip(&pass.writes) {
-                        let row = width as usize * plan.buffers[id.0].bytes as usize / 4;
+                        let row = across as usize * plan.buffers[id.0].bytes as usize / 4;
                         *slot = &mut words[range.start as usize * row..range.end as usize * row];
                     }
-                    technique.run(kernel, &inputs, &mut Band::new(range, width, slots));
+                    let mut band = Band::new(range, across, &pass.writes, slots);
+                    if let Some(tiles) = tiles {
+                        band = band.with_tiles(tiles);
+                    }
+                    technique.run(kernel, &inputs, &mut band);
                 }
             }
         }
@@ -192,14 +218,16 @@ fn in_bands(technique: &dyn Technique, stage: &Stage, shot: Shot, rows: u32) -> 
 fn how_the_picture_is_cut_into_bands_changes_no_bit() {
     for scene in scenes() {
         let stage = Stage::new(scene).unwrap();
-        for entry in REGISTRY {
+        // With light points made ahead and a pass over tiles of pixels, too.
+        let specs = REGISTRY.iter().map(|entry| entry.name);
+        for spec in specs.chain(["restir-di:tiles=on,boiling=0.5"]) {
             for shot in shots() {
-                let technique = parse(entry.name).unwrap();
+                let technique = parse(spec).unwrap();
                 let mut frame_loop =
-                    FrameLoop::new(Arc::from(parse(entry.name).unwrap()), &stage, shot).unwrap();
+                    FrameLoop::new(Arc::from(parse(spec).unwrap()), &stage, shot).unwrap();
                 let whole = bits(&frame_loop.render().unwrap().picture());
                 for rows in [1, 5, 13] {
-                    assert_eq!(whole, in_bands(&*technique, &stage, shot, rows), "{}", entry.name);
+                    assert_eq!(whole, in_bands(&*technique, &stage, shot, rows), "{spec}");
                 }
             }
         }

@@ -2,8 +2,9 @@
 //! this crate, over all outcomes.
 
 use afterimage::math::rng::RandomSource;
-use afterimage::resampling::spatial as merge;
-use afterimage::resampling::{Counting, Family, Finished, Identity, Input, Plain, Reservoir};
+use afterimage::resampling::{
+    Counting, Family, Finished, Identity, Input, Plain, Reservoir, merge,
+};
 use afterimage::stats::{Outcome, enumerate_f64, expectation};
 
 type Pixel = [f32; 4];

@@ -11,7 +11,6 @@ use std::sync::Arc;
 
 use afterimage::accel::{AcceptAll, BuildOptions, Ray};
 use afterimage::counters::Counters;
-use afterimage::direct::{Receiver, Record, Time};
 use afterimage::frame::{FrameLoop, Stage};
 use afterimage::light::LightPoint;
 use afterimage::math::luminance;
@@ -19,6 +18,7 @@ use afterimage::math::rng::{RandomSource, Stream};
 use afterimage::pass::{Band, Buffer, FrameInputs, MAX_WRITES, PrimaryHit};
 use afterimage::picture::Picture;
 use afterimage::plan::{Claim, Filter, Kernel, Plan, Runs, Shot};
+use afterimage::reuse::light_points::{Receiver, Record, Time};
 use afterimage::scene::{Geometry, LightKind, Object, Scene, Shape, Transform};
 use afterimage::stats::{
     Equivalence, Margin, Moments, Verdict, equivalence, ks_two_sample, samples_for_bias, t_test,
@@ -1340,7 +1340,7 @@ impl<'a> Bench<'a> {
                     for (slot, words) in slots.iter_mut().zip(&mut owned) {
                         *slot = words;
                     }
-                    let mut band = Band::new(0..height, width, slots);
+                    let mut band = Band::new(0..height, width, &pass.writes, slots);
                     counters = counters + self.technique.run(kernel, &inputs, &mut band);
                 }
             }

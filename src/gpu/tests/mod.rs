@@ -9,9 +9,9 @@ mod scene;
 use std::sync::{Arc, OnceLock};
 
 use super::{Gpu, Inputs, Kernel, SceneBuffers};
-use crate::direct::{DIRECT_WGSL, VISIBILITY_WGSL};
 use crate::math::rng::{RandomSource, Stream};
 use crate::resampling::RESAMPLING_WGSL;
+use crate::reuse::light_points::{DIRECT_WGSL, VISIBILITY_WGSL};
 use crate::scene::Scene;
 use crate::world::World;
 

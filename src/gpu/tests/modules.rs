@@ -87,7 +87,7 @@ fn facts() -> Vec<SceneFacts> {
 fn specs() -> Vec<String> {
     let mut specs: Vec<String> = REGISTRY.iter().map(|entry| entry.name.to_string()).collect();
     specs.push("nee:lights=all".into());
-    for policy in crate::direct::Visibility::ALL.map(crate::direct::Visibility::name) {
+    for policy in crate::reuse::Visibility::ALL.map(crate::reuse::Visibility::name) {
         specs.push(format!("restir-di:visibility={policy}"));
         specs.push(format!("restir-di:visibility={policy},neighbours=0"));
         specs.push(format!("restir-di:visibility={policy},mutations=2,rounds=3"));

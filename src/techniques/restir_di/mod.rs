@@ -22,25 +22,19 @@ mod plan;
 mod twin;
 
 use crate::counters::Counters;
-use crate::direct::{REUSE_AGE, REUSE_DISTANCE, Visibility};
 use crate::error::{Error, Result};
 use crate::pass::{Band, FrameInputs};
-use crate::plan::{Claim, Filter, Plan, SceneFacts, Shot};
+use crate::plan::{Claim, Plan, SceneFacts, Shot};
 use crate::resampling::{
     Conditions, ControlVariate, Decoupled, Estimator, Family, Selected, WeightedVisibility,
 };
-use crate::techniques::spec::{self, Choice, Row, row};
+use crate::reuse::light_points::Record;
+use crate::reuse::parameters::reuse_rows;
+use crate::reuse::passes::Keys;
+use crate::reuse::policy::StoredOutcome;
+use crate::reuse::{REUSE_AGE, REUSE_DISTANCE, Settings, SpatialUse, Taps, Visibility};
+use crate::spec::{self, Choice, Row, row};
 use crate::techniques::{Entry, Technique, Twin};
-
-/// Most neighbours a round.
-pub const MAX_NEIGHBOURS: usize = 8;
-/// Pixels for each light point made ahead, and lights from which that pays.
-const PIXELS_A_TILE_ENTRY: usize = 4;
-const LIGHTS_FOR_TILES: u32 = 1000;
-/// Width and height in pixels of the blocks that share a tile of light points.
-const TILE_BLOCK: u32 = 8;
-/// Width and height in pixels of the boiling filter's tiles.
-const BOILING_TILE: u32 = 16;
 
 /// The rows of `ris`; `restir-di` has all of [`rows`].
 fn rows_of_ris() -> Vec<Row<RestirDi>> {
@@ -69,28 +63,8 @@ fn rows_of_ris() -> Vec<Row<RestirDi>> {
 
 fn rows() -> Vec<Row<RestirDi>> {
     let mut rows = rows_of_ris();
+    rows.extend(reuse_rows!(RestirDi));
     rows.extend([
-        row!(
-            RestirDi,
-            "cap",
-            cap: 0..=250,
-            "frames of history that count (Bitterli et al. 2020: 20); 0 is no temporal reuse; higher is less noise, slower reaction and more correlation"
-        ),
-        row!(RestirDi, "temporal-mis", choice temporal_mis: Family, "weights of the temporal merge"),
-        row!(
-            RestirDi,
-            "neighbours",
-            neighbours: 0..=MAX_NEIGHBOURS as u32,
-            "pixels that a round takes samples from; 0 is no spatial reuse; more is less noise for more time"
-        ),
-        row!(
-            RestirDi,
-            "radius",
-            number radius: 1.0..=1000.0,
-            "how far away they are at most, in pixels; more is less correlation, and more neighbours that do not fit"
-        ),
-        row!(RestirDi, "rounds", rounds: 1..=8, "rounds of spatial reuse"),
-        row!(RestirDi, "mis", choice mis: Family, "weights of the spatial merge; constant is biased"),
         row!(
             RestirDi,
             "visibility",
@@ -111,33 +85,9 @@ fn rows() -> Vec<Row<RestirDi>> {
         ),
         row!(
             RestirDi,
-            "mutations",
-            mutations: 0..=64,
-            "moves of the light point between temporal and spatial reuse (Sawhney et al. 2024); more is less correlation for more time"
-        ),
-        row!(
-            RestirDi,
             "large-steps",
             number large_steps: 0.0..=1.0,
             "share of mutations that draw another light; the others move on the same one"
-        ),
-        row!(
-            RestirDi,
-            "decoupled",
-            choice decoupled: bool,
-            "shade with all inputs of the last merge instead of the selected one; less noise in colour for a ray a neighbour"
-        ),
-        row!(
-            RestirDi,
-            "boiling",
-            number boiling: 0.0..=1.0,
-            "strength of a filter that drops bright reservoirs; 0 is off; biased"
-        ),
-        row!(
-            RestirDi,
-            "max-age",
-            max_age: 0..=255,
-            "frames after which a sample is dropped; 0 is never; biased"
         ),
     ]);
     rows
@@ -183,22 +133,6 @@ impl Choice for LightTiles {
     }
 }
 
-impl Choice for Family {
-    const ALL: &'static [Self] = &Self::ALL;
-
-    fn name(self) -> &'static str {
-        self.name()
-    }
-}
-
-impl Choice for Visibility {
-    const ALL: &'static [Self] = &Self::ALL;
-
-    fn name(self) -> &'static str {
-        self.name()
-    }
-}
-
 /// `ris` ([`RestirDi::ris`]) and `restir-di` ([`RestirDi::default`]).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RestirDi {
@@ -226,10 +160,14 @@ pub struct RestirDi {
     ///
     /// Higher is less correlation, and more neighbours that do not fit.
     pub radius: f32,
+    /// Which they are.
+    pub taps: Taps,
     /// Rounds of spatial reuse, in [1, 8].
     pub rounds: u32,
     /// Weights of the spatial merge.
     pub mis: Family,
+    /// What becomes of the spatial result.
+    pub spatial: SpatialUse,
     /// What is done with shadow rays. Visibility in the target is the default: of all policies it had the least relmse times time on
     /// `penumbra` and `many-lights:1000` (`docs/results.md`).
     pub visibility: Visibility,
@@ -265,8 +203,10 @@ impl Default for RestirDi {
             temporal_mis: Family::Balance,
             neighbours: 1,
             radius: 16.0,
+            taps: Taps::Random,
             rounds: 1,
             mis: Family::DefensivePairwise,
+            spatial: SpatialUse::Feedback,
             visibility: Visibility::InTarget,
             visibility_age: REUSE_AGE,
             visibility_distance: REUSE_DISTANCE,
@@ -341,9 +281,34 @@ impl RestirDi {
         Ok(())
     }
 
+    /// The parameters of the passes of reuse.
+    pub(crate) fn settings(&self) -> Settings {
+        let Self { cap, temporal_mis, neighbours, radius, taps, rounds, mis, spatial, .. } = *self;
+        let Self { decoupled, mutations, boiling, max_age, .. } = *self;
+        Settings {
+            cap,
+            temporal_mis,
+            neighbours,
+            radius,
+            taps,
+            rounds,
+            mis,
+            spatial,
+            decoupled,
+            mutations,
+            boiling,
+            max_age,
+        }
+    }
+
+    /// The limits of [`Visibility::Reuse`].
+    fn limits(&self) -> StoredOutcome {
+        StoredOutcome { max_age: self.visibility_age, max_distance: self.visibility_distance }
+    }
+
     /// What a chain of merges promises on a scene.
     fn conditions(&self, facts: &SceneFacts, shot: &Shot) -> Conditions {
-        let still = is_still(facts, shot);
+        let still = facts.is_still(shot);
         let reuse = self.cap > 0 || self.neighbours > 0;
         let (temporal, spatial) = (self.cap > 0, self.neighbours > 0);
         let own_visibility = match self.visibility {
@@ -389,34 +354,26 @@ impl RestirDi {
     }
 }
 
-/// Whether every frame has the same receivers, lights and occluders.
-fn is_still(facts: &SceneFacts, shot: &Shot) -> bool {
-    !facts.moves() && shot.filter == Filter::Point
-}
-
-/// Numbers of kernels; spatial rounds count from the last one on.
+/// Numbers of the technique's own kernels; those of reuse are [`crate::reuse::passes::kernel`].
 mod kernel {
     pub(super) const RIS: u32 = 0;
     pub(super) const TILES: u32 = 1;
-    pub(super) const INITIAL: u32 = 2;
-    pub(super) const TEMPORAL: u32 = 3;
-    pub(super) const BOILING: u32 = 4;
-    pub(super) const MUTATE: u32 = 5;
-    pub(super) const SHADE: u32 = 6;
-    pub(super) const PATHS: u32 = 7;
-    pub(super) const ALL_PATHS: u32 = 8;
-    pub(super) const SPATIAL: u32 = 16;
+    pub(super) const PATHS: u32 = 2;
+    pub(super) const ALL_PATHS: u32 = 3;
 }
 
-/// Names of buffers.
-mod buffer {
-    pub(super) const NORMALS: &str = "normals";
-    pub(super) const RESERVOIRS: &str = "reservoirs";
-    pub(super) const HISTORY: &str = "history";
-    pub(super) const CONTROLS: &str = "controls";
-    pub(super) const HISTORY_CONTROLS: &str = "history controls";
-    pub(super) const BOUNCE: &str = "bounce";
-    pub(super) const TILES: &str = "light tiles";
+/// Names of the plan's constants.
+mod constant {
+    use crate::plan::Plan;
+
+    pub(super) const BSDF_SAMPLES: &str = "bsdf samples";
+    pub(super) const EMITTING_SURFACES: &str = "emitting surfaces";
+    pub(super) const LIGHT_TILES: &str = "light tiles";
+
+    /// The value of a constant, which every plan with a kernel that asks for it has.
+    pub(super) fn of(plan: &Plan, name: &str) -> u32 {
+        plan.constant(name).expect("the plan fixes what its kernels ask for")
+    }
 }
 
 impl Technique for RestirDi {
@@ -433,7 +390,7 @@ impl Technique for RestirDi {
     }
 
     fn plan(&self, facts: &SceneFacts, shot: &Shot) -> Plan {
-        plan::Planner::new(self, facts, shot).plan()
+        plan::plan(self, facts, shot)
     }
 
     fn run(&self, kernel: u32, inputs: &FrameInputs<'_>, band: &mut Band<'_>) -> Counters {
@@ -441,13 +398,19 @@ impl Technique for RestirDi {
     }
 
     fn twin(&self, kernel: u32, plan: &Plan) -> Option<Twin> {
-        Some(self.kernel_twin(kernel, plan))
+        // The twins know one chain of a pixel, random taps and a spatial result that is kept.
+        let one_chain = plan
+            .id(Keys::<Record>::RESERVOIRS)
+            .is_none_or(|id| plan.buffers[id.0].bytes as usize == size_of::<Record>());
+        let known = self.taps == Taps::Random && self.spatial == SpatialUse::Feedback && one_chain;
+        known.then(|| self.kernel_twin(kernel, plan))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::plan::Filter;
     use crate::techniques::parse;
 
     #[test]

@@ -57,19 +57,19 @@ pub enum Field<T: 'static> {
 /// Type, "about")` for names.
 macro_rules! row {
     ($type:ty, $key:literal, number $field:ident: $range:expr, $about:expr) => {
-        $crate::techniques::spec::Row {
+        $crate::spec::Row {
             key: $key,
             about: $about,
-            field: $crate::techniques::spec::Field::Number($range, |technique: &mut $type| {
+            field: $crate::spec::Field::Number($range, |technique: &mut $type| {
                 &mut technique.$field
             }),
         }
     };
     ($type:ty, $key:literal, choice $field:ident: $choice:ty, $about:expr) => {
-        $crate::techniques::spec::Row {
+        $crate::spec::Row {
             key: $key,
             about: $about,
-            field: $crate::techniques::spec::Field::Choice(
+            field: $crate::spec::Field::Choice(
                 || <$choice>::ALL.iter().map(|value| Choice::name(*value)).collect(),
                 |technique: &$type| technique.$field.place(),
                 |technique: &mut $type, place| technique.$field = <$choice>::ALL[place],
@@ -77,10 +77,10 @@ macro_rules! row {
         }
     };
     ($type:ty, $key:literal, $field:ident: $range:expr, $about:expr) => {
-        $crate::techniques::spec::Row {
+        $crate::spec::Row {
             key: $key,
             about: $about,
-            field: $crate::techniques::spec::Field::Integer($range, |technique: &mut $type| {
+            field: $crate::spec::Field::Integer($range, |technique: &mut $type| {
                 &mut technique.$field
             }),
         }
@@ -155,7 +155,7 @@ impl<T: Clone> Row<T> {
     }
 }
 
-/// `default` with the values of a SPEC in place of its own. Every key has a row ([`super::parse`]
+/// `default` with the values of a SPEC in place of its own. Every key has a row ([`crate::techniques::parse`]
 /// has checked that).
 ///
 /// # Errors
@@ -222,7 +222,7 @@ pub struct Values {
 
 impl Values {
     /// Reads what follows the name in `spec`; `known` are the keys of the technique `name`.
-    pub(super) fn parse(spec: &str, name: &str, rest: &str, known: &[&str]) -> Result<Self> {
+    pub(crate) fn parse(spec: &str, name: &str, rest: &str, known: &[&str]) -> Result<Self> {
         let mut values = Self::default();
         for pair in rest.split(',').filter(|pair| !pair.is_empty()) {
             let Some((key, value)) = pair.split_once('=') else {
