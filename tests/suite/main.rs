@@ -21,4 +21,5 @@ mod planted_reuse;
 mod references;
 mod reuse;
 mod stress;
+mod style;
 mod support;
