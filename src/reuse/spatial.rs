@@ -100,12 +100,12 @@ struct Outcome<R> {
 }
 
 /// What the rays of one merge said.
-struct Seen {
+struct Seen<'c> {
     /// By input: whether its sample is seen from here.
     inputs: [bool; MAX_NEIGHBOURS + 1],
     /// The own sample's policy bits, after a ray if one was needed.
     own_bits: u16,
-    counters: Counters,
+    counters: &'c mut Counters,
 }
 
 impl<D: Domain, P: Policy> Reuse<'_, D, P> {
@@ -239,15 +239,14 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
         let mut seen = Seen {
             inputs: [false; MAX_NEIGHBOURS + 1],
             own_bits: own.record.policy_bits(),
-            counters: Counters::default(),
+            counters,
         };
         let mut reservoir = Rich::default();
         let merged =
             merge(map, self.settings.mis, &canonical, others, &mut reservoir, random, |term| {
                 self.carried(decoupled, own, &canonical, term, &mut seen)
             });
-        *counters = *counters + seen.counters;
-        counters.weights_rejected += u64::from(reservoir.rejected());
+        seen.counters.weights_rejected += u64::from(reservoir.rejected());
 
         let average = reservoir.inner().visibility();
         let (age, bits) = self.inherited_from(decoupled, own, others, merged.source, &seen);
@@ -258,7 +257,7 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
             let share = canonical.finished.confidence / merged.finished.confidence;
             let correction = self.correction(share, own.control, &canonical);
             let state = DecoupledState { radiance: reservoir.radiance(), correction };
-            let estimate = finite_or_counted(ControlVariate::radiance(&state), counters);
+            let estimate = finite_or_counted(ControlVariate::radiance(&state), seen.counters);
             let visible = match merged.source {
                 0 => own.control.visible(),
                 source => seen.inputs[source],
@@ -269,7 +268,7 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
             (false, _) => Vec3::ZERO,
             (true, true) => control.estimate(),
             (true, false) if decoupled => reservoir.radiance(),
-            (true, false) => self.shown(own.receiver, &merged, &mut bits, counters),
+            (true, false) => self.shown(own.receiver, &merged, &mut bits, seen.counters),
         };
         let record = D::Record::new(&merged.finished, merged.target, age, bits);
         Outcome { record, control, shown }
@@ -284,14 +283,14 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
         own: &Own<'_, D>,
         canonical: &InputOf<'_, D>,
         term: &Term<D::Sample, Vec3>,
-        seen: &mut Seen,
+        seen: &mut Seen<'_>,
     ) -> (((), f32), Vec3) {
         let shows = P::CONTROL || decoupled;
         let mut shown = Vec3::ZERO;
         let mut visibility = self.policy.average(own.record.policy_bits());
         if let Some(shifted) = &term.shifted {
             let traced = P::TRACES_TERMS || (decoupled && !D::IN_TARGET);
-            let visible = !traced || self.look(own.receiver, shifted.sample, &mut seen.counters).1;
+            let visible = !traced || self.look(own.receiver, shifted.sample, seen.counters).1;
             seen.inputs[term.input] = visible;
             visibility = f32::from(u8::from(visible));
             if shows && visible {
@@ -305,9 +304,8 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
             } else {
                 self.policy.outcome(seen.own_bits).unwrap_or_else(|| {
                     let sample = canonical.finished.sample;
-                    let visible = sample.is_some_and(|sample| {
-                        self.look(own.receiver, sample, &mut seen.counters).1
-                    });
+                    let visible = sample
+                        .is_some_and(|sample| self.look(own.receiver, sample, seen.counters).1);
                     seen.own_bits = self.policy.traced(seen.own_bits, visible);
                     visible
                 })
@@ -328,7 +326,7 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
         own: &Own<'_, D>,
         others: &Neighbours<'_, '_, D>,
         source: usize,
-        seen: &Seen,
+        seen: &Seen<'_>,
     ) -> (u32, u16) {
         if source == 0 {
             return (own.record.age(), seen.own_bits);
