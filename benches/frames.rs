@@ -31,7 +31,7 @@ fn frames(criterion: &mut Criterion) {
             let technique = Arc::from(parse(entry.name).expect("a registered name"));
             let depth = stage.facts().depth.min(8);
             let shot =
-                Shot { size: SIZE, depth, filter: Filter::Point, run: 1, effort: 1, fps: 30 };
+                Shot { size: SIZE, depth, filter: Filter::Point, run: 1, effort: 1.0, fps: 30 };
             let mut frames = FrameLoop::new(technique, &stage, shot).expect("a valid shot");
             let first = frames.render().expect("a frame");
             assert_eq!((first.counters.non_finite, first.picture().non_finite()), (0, 0));
@@ -134,7 +134,7 @@ fn skips_on(criterion: &mut Criterion, name: &str, backend: &Backend) {
         for (name, (stage, spec, depth)) in ["without", "with"].into_iter().zip(sides) {
             let technique = Arc::from(parse(spec).expect("a specification"));
             let shot =
-                Shot { size: SIZE, depth, filter: Filter::Point, run: 1, effort: 1, fps: 30 };
+                Shot { size: SIZE, depth, filter: Filter::Point, run: 1, effort: 1.0, fps: 30 };
             let stage = stage.expect("a stage");
             let mut frames = FrameLoop::with_backend(technique, &stage, shot, backend)
                 .expect("a valid shot on this backend");

@@ -58,7 +58,7 @@ fn main() -> Result<()> {
     let mut scene = scene();
     let stage = Stage::moving(scene.clone())?;
     let shot =
-        Shot { size: [160, 90], depth: 3, filter: Filter::Point, run: 1, effort: 4, fps: 30 };
+        Shot { size: [160, 90], depth: 3, filter: Filter::Point, run: 1, effort: 4.0, fps: 30 };
     let mut frames = FrameLoop::new(Arc::from(techniques::parse("nee")?), &stage, shot)?;
     print!("{}", frames.plan());
     for step in 0..8_u8 {

@@ -120,7 +120,7 @@ fn mean(picture: &Picture, mask: &[bool]) -> f64 {
 }
 
 fn shot(size: [u32; 2]) -> Shot {
-    Shot { size, depth: 2, filter: Filter::Point, run: 1, effort: 1, fps: 30 }
+    Shot { size, depth: 2, filter: Filter::Point, run: 1, effort: 1.0, fps: 30 }
 }
 
 fn figure(moments: &Moments, scale: f64) -> String {

@@ -92,7 +92,7 @@ const SPECS: [&str; 8] = [
 ];
 
 fn shot(size: [u32; 2], depth: u32) -> Shot {
-    Shot { size, depth, filter: Filter::Point, run: 1, effort: 1, fps: 30 }
+    Shot { size, depth, filter: Filter::Point, run: 1, effort: 1.0, fps: 30 }
 }
 
 /// Done by CI's slow step: minutes, most of them for the driver's compiler.

@@ -100,7 +100,7 @@ fn full_room() -> Scene {
 }
 
 fn shots() -> [Shot; 2] {
-    let point = Shot { effort: 2, ..shot([32, 24], 5, 1) };
+    let point = Shot { effort: 2.0, ..shot([32, 24], 5, 1) };
     [point, Shot { filter: Filter::Box, ..point }]
 }
 
@@ -409,7 +409,7 @@ fn frames_are_independent_of_how_many_are_rendered() {
     for name in unbiased(&stage, &shot).into_iter().filter(independent) {
         let frames = |run: u64, count: u32| -> Vec<f64> {
             let technique = Arc::from(afterimage::techniques::parse(name).unwrap());
-            let shot = Shot { run, effort: 96, ..shot };
+            let shot = Shot { run, effort: 96.0, ..shot };
             let mut frame_loop =
                 afterimage::frame::FrameLoop::new(technique, &stage, shot).unwrap();
             (0..count)

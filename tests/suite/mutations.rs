@@ -36,7 +36,7 @@ fn pictures(stage: &Stage, spec: &str, size: [u32; 2], first: u64) -> Vec<Pictur
 fn truth(stage: &Stage, size: [u32; 2]) -> Picture {
     let mut sum = vec![Vec3::ZERO; (size[0] * size[1]) as usize];
     for run in 0..8 {
-        let shot = afterimage::plan::Shot { run: 90 + run, effort: 128, ..shot(size, 2, 1) };
+        let shot = afterimage::plan::Shot { run: 90 + run, effort: 128.0, ..shot(size, 2, 1) };
         let (picture, _) = last_frame(stage, "nee", shot, 1);
         sum.iter_mut().zip(&picture.pixels).for_each(|(s, p)| *s += *p / 8.0);
     }

@@ -93,7 +93,7 @@ fn two_threads<T: Send>(job: impl FnOnce() -> T + Send) -> T {
 
 /// `nee` with `restarts` frames of `spp` samples.
 fn ours(stage: &Stage, size: [u32; 2], depth: u32, spp: u32, restarts: u64) -> Run {
-    let shot = Shot { size, depth, filter: Filter::Box, run: 0, effort: spp, fps: 30 };
+    let shot = Shot { size, depth, filter: Filter::Box, run: 0, effort: spp as f32, fps: 30 };
     let mut frames = FrameLoop::new(Arc::from(parse("nee").unwrap()), stage, shot).unwrap();
     let pixels = (size[0] * size[1]) as usize;
     let mut moments = vec![[Moments::new(); 3]; pixels];
@@ -143,7 +143,7 @@ fn median(mut values: Vec<f64>) -> f64 {
 
 /// Pixels without an emitter within one pixel.
 fn counted(stage: &Stage, size: [u32; 2]) -> Vec<bool> {
-    let shot = Shot { size, depth: 1, filter: Filter::Box, run: 0, effort: 64, fps: 30 };
+    let shot = Shot { size, depth: 1, filter: Filter::Box, run: 0, effort: 64.0, fps: 30 };
     let mut frames = FrameLoop::new(Arc::from(parse("bsdf").unwrap()), stage, shot).unwrap();
     let emission = frames.render().unwrap().emission();
     mask(&emission.pixels, size[0] as usize, size[1] as usize)
@@ -186,10 +186,10 @@ fn long_samples_a_second_and_error_times_time() {
 /// of each of these frames.
 fn frames(stage: &Stage, spec: &str, size: [u32; 2], ages: [u32; 2]) -> [(Vec<Vec3>, f64); 2] {
     let truth = {
-        let shot = Shot { size, depth: 2, filter: Filter::Point, run: 7, effort: 24, fps: 30 };
+        let shot = Shot { size, depth: 2, filter: Filter::Point, run: 7, effort: 24.0, fps: 30 };
         picture(stage, "nee:lights=all", shot)
     };
-    let shot = Shot { size, depth: 2, filter: Filter::Point, run: 0, effort: 1, fps: 30 };
+    let shot = Shot { size, depth: 2, filter: Filter::Point, run: 0, effort: 1.0, fps: 30 };
     let mut frames = FrameLoop::new(Arc::from(parse(spec).unwrap()), stage, shot).unwrap();
     const RESTARTS: u32 = 24;
     let mut found = [0, 1].map(|_| (vec![Vec3::ZERO; truth.pixels.len()], Vec::new()));

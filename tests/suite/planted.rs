@@ -145,7 +145,7 @@ fn walked(world: &World, bug: Bug, shot: Shot) -> Picture {
             let ray = rays.ray(at);
             let ray = Ray { origin: ray.origin, direction: ray.direction, t_max: f32::INFINITY };
             let Some(hit) = world.closest_hit(&ray) else { return Vec3::ZERO };
-            let paths = (0..shot.effort).map(|sample| {
+            let paths = (0..shot.most_estimates()).map(|sample| {
                 let seed = path_seed(shot.run, pixel, 0, sample);
                 walk(world, bug, seed, (ray.direction, &hit), shot.depth)
             });

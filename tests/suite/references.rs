@@ -104,7 +104,7 @@ fn run(case: &Case) -> Option<(PictureTest, PictureTest)> {
     }
     let stage = Stage::new(loaded).unwrap();
     let size = [width as u32, height as u32];
-    let shot = Shot { size, depth: 8, filter: Filter::Box, run: 0, effort: spp, fps: 30 };
+    let shot = Shot { size, depth: 8, filter: Filter::Box, run: 0, effort: spp as f32, fps: 30 };
     let mut frames = FrameLoop::new(Arc::from(parse("nee").unwrap()), &stage, shot).unwrap();
     let mut seen = vec![Vec3::ZERO; width * height];
     let mut pictures = Vec::new();

@@ -362,9 +362,9 @@ const DELTA: f64 = 0.03;
 fn the_truth_is_what_nee_tends_to() {
     for course in [still(), moving_lights()] {
         let looks = [Look::whole(&course, small(), 2)];
-        let shot = Shot { effort: 16, ..small() };
+        let shot = Shot { effort: 16.0, ..small() };
         assert_unbiased((&course, &course.stage()), "nee", shot, &looks, 0.01);
-        let shot = Shot { effort: 4, ..small() };
+        let shot = Shot { effort: 4.0, ..small() };
         assert_unbiased((&course, &course.stage()), "ris:candidates=8", shot, &looks, 0.01);
     }
 }
@@ -678,7 +678,7 @@ fn c2_box_filter() {
     let reference = restarts(
         (&course, &stage),
         "nee",
-        Shot { effort: 32, run: 1 << 50, ..shot },
+        Shot { effort: 32.0, run: 1 << 50, ..shot },
         &[Look::finer(&course, shot, 0, 1)],
         0..400,
     );

@@ -641,7 +641,7 @@ proptest! {
                 depth: 1 + how / 63 % 4,
                 filter: if how.is_multiple_of(2) { Filter::Point } else { Filter::Box },
                 run: u64::from(how),
-                effort: 1 + how / 252 % 3,
+                effort: (1 + how / 252 % 3) as f32,
                 fps: 30,
             };
             let technique = Arc::from(parse(SPECS[which % SPECS.len()]).unwrap());

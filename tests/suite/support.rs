@@ -19,7 +19,7 @@ use glam::{Affine3A, Mat3, Vec3};
 
 /// A shot of `size` pixels with the point filter.
 pub(crate) fn shot(size: [u32; 2], depth: u32, effort: u32) -> Shot {
-    Shot { size, depth, filter: Filter::Point, run: 1, effort, fps: 30 }
+    Shot { size, depth, filter: Filter::Point, run: 1, effort: effort as f32, fps: 30 }
 }
 
 /// A Lambert material.
@@ -209,7 +209,7 @@ pub(crate) const RESTARTS: u64 = 64;
 /// mean, from a pilot of other runs. The factor is for what the pilot does not know of c (4 %) and
 /// for Student's quantile in the place of z.
 fn effort(stage: &Stage, spec: &str, shot: Shot, sides: f64) -> (u32, f64) {
-    let pilot = restarts(stage, spec, Shot { effort: 1, run: 1 << 40, ..shot }, 4 * RESTARTS);
+    let pilot = restarts(stage, spec, Shot { effort: 1.0, run: 1 << 40, ..shot }, 4 * RESTARTS);
     let c = pilot.variance().sqrt() / pilot.mean() * (shot.pixels() as f64).sqrt();
     assert!(c.is_finite(), "{spec} sees nothing: {pilot:?}");
     let paths = sides * samples_for_bias(DELTA, 1.1 * c, 2.0 * ALPHA, 0.9995);
@@ -233,7 +233,7 @@ pub(crate) fn against(sample: &Moments, truth: f64) -> Equivalence {
 #[track_caller]
 pub(crate) fn assert_mean(stage: &Stage, spec: &str, shot: Shot, truth: f64) {
     let (effort, c) = effort(stage, spec, shot, 1.0);
-    assert_mean_with(stage, spec, Shot { effort, ..shot }, c, truth);
+    assert_mean_with(stage, spec, Shot { effort: effort as f32, ..shot }, c, truth);
 }
 
 /// [`restarts`] with as many estimates as [`RESTARTS`] of `shot.effort` have. More effort is more
@@ -242,7 +242,12 @@ pub(crate) fn assert_mean(stage: &Stage, spec: &str, shot: Shot, truth: f64) {
 fn samples(stage: &Stage, spec: &str, shot: Shot) -> Moments {
     let plan = parse(spec).unwrap().plan(stage.facts(), &shot);
     if plan.buffer("reservoirs").is_some() {
-        restarts(stage, spec, Shot { effort: 1, ..shot }, RESTARTS * u64::from(shot.effort.max(4)))
+        restarts(
+            stage,
+            spec,
+            Shot { effort: 1.0, ..shot },
+            RESTARTS * u64::from(shot.chains().max(4)),
+        )
     } else {
         restarts(stage, spec, shot, RESTARTS)
     }
@@ -281,7 +286,7 @@ pub(crate) fn assert_means(scene: Scene, shot: Shot, truth: f64) {
         if name != "nee" && c > 1.8 {
             println!("{}: left out `{name}`: c {c:.1} would take too long", stage.scene().name);
         } else {
-            assert_mean_with(&stage, name, Shot { effort, ..shot }, c, truth);
+            assert_mean_with(&stage, name, Shot { effort: effort as f32, ..shot }, c, truth);
         }
     }
 }
@@ -292,7 +297,7 @@ pub(crate) fn assert_means(scene: Scene, shot: Shot, truth: f64) {
 pub(crate) fn assert_same_mean(a: (&Stage, Shot), b: (&Stage, Shot), spec: &str) {
     let sample = |(stage, shot): (&Stage, Shot), first: u64| {
         let (effort, _) = effort(stage, spec, shot, 2.0);
-        samples(stage, spec, Shot { effort, run: shot.run + first, ..shot })
+        samples(stage, spec, Shot { effort: effort as f32, run: shot.run + first, ..shot })
     };
     let (x, y) = (sample(a, 0).estimate(), sample(b, 1 << 20).estimate());
     let result = equivalence(&welch(&x, &y), &margin(y.mean));
