@@ -318,6 +318,7 @@ fn a_fraction_of_effort_gives_some_pixels_one_estimate_more() {
         assert!(often.len() > pixels / 2, "{spec}: hardly any pixel tells two from three");
         assert!(often.iter().all(|count| *count <= 24 + 19), "{spec}: {often:?}");
         let share = f64::from(thirds.iter().sum::<u32>()) / f64::from(told);
-        assert!((share - 0.4).abs() < 0.01, "{spec}: a third estimate in a share of {share}");
+        let error = 5.0 * (0.24 / f64::from(told)).sqrt();
+        assert!((share - 0.4).abs() < error, "{spec}: a third estimate in a share of {share}");
     }
 }
