@@ -23,3 +23,4 @@ mod reuse;
 mod stress;
 mod style;
 mod support;
+mod tiles;
