@@ -1,4 +1,5 @@
-//! `plan`: what a technique will run on a scene, what the scene lets it leave out, and what is left takes.
+//! `plan`: what a technique will run on a scene, what the scene lets it leave out, and what is left
+//! takes.
 
 use std::sync::Arc;
 
@@ -36,7 +37,8 @@ pub(super) struct PlanArgs {
     /// Print JSON
     #[arg(long, conflicts_with = "measure")]
     json: bool,
-    /// Render N frames and show what each pass and pixel took, as medians of the second half of them
+    /// Render N frames and show what each pass and pixel took, as medians of the second half of
+    /// them
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=1_000_000))]
     measure: Option<u32>,
 }

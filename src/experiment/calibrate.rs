@@ -21,9 +21,10 @@ struct Point {
 
 /// The search for the effort whose median steady frame is nearest to a budget of milliseconds.
 ///
-/// Efforts are whole numbers of steps. Time is close to linear in effort, so a secant through the two measurements around
-/// the budget finds it; each step is kept strictly between them, so noise cannot make it wander. The caller measures what
-/// [`Search::next`] names and says what it took, by turns with other searches.
+/// Efforts are whole numbers of steps. Time is close to linear in effort, so a secant through the
+/// two measurements around the budget finds it; each step is kept strictly between them, so noise
+/// cannot make it wander. The caller measures what [`Search::next`] names and says what it took, by
+/// turns with other searches.
 #[derive(Clone, Debug)]
 pub(super) struct Search {
     budget: f64,
@@ -82,7 +83,8 @@ impl Search {
         self.next = self.guess().filter(|next| *next != steps && self.tries < TRIES);
     }
 
-    /// How near is near enough: where steps are fine, a fifth of what meets the budget, so that noise leaves it met.
+    /// How near is near enough: where steps are fine, a fifth of what meets the budget, so that
+    /// noise leaves it met.
     fn enough(&self) -> f64 {
         let share = if self.unit > 1 { 0.2 * TOLERANCE } else { TOLERANCE };
         share * self.budget
@@ -92,7 +94,8 @@ impl Search {
     fn guess(&self) -> Option<u32> {
         let below = self.below?;
         let Some(above) = self.above else {
-            // In proportion from one measurement; along the line through the last two, which finds the fixed cost.
+            // In proportion from one measurement; along the line through the last two, which finds
+            // the fixed cost.
             let guess = match self.before {
                 Some(before) if below.ms > before.ms => line(before, below, self.budget),
                 _ => f64::from(below.steps) * self.budget / below.ms.max(1e-9),
@@ -115,8 +118,8 @@ fn line(a: Point, b: Point, ms: f64) -> f64 {
     f64::from(b.steps) + slope * (ms - b.ms)
 }
 
-/// Runs searches by turns: in every round `measure` gets all that are not over, as their number and steps, and answers with their
-/// times, so that a change of the machine's speed meets all alike.
+/// Runs searches by turns: in every round `measure` gets all that are not over, as their number and
+/// steps, and answers with their times, so that a change of the machine's speed meets all alike.
 pub(super) fn by_turns<E>(
     searches: &mut [Search],
     mut measure: impl FnMut(&[(usize, u32)]) -> Result<Vec<f64>, E>,

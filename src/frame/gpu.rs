@@ -323,7 +323,7 @@ impl Runner {
         let mut inputs = Inputs {
             run: [shot.run as u32, (shot.run >> 32) as u32],
             frame: frame.index,
-            effort: shot.effort,
+            effort: shot.estimates()[0],
             size: shot.size,
             depth: shot.depth,
             box_filter: u32::from(shot.filter == Filter::Box),

@@ -14,7 +14,7 @@ fn device() -> Option<Arc<Gpu>> {
 }
 
 fn shot(size: [u32; 2], depth: u32) -> Shot {
-    Shot { size, depth, filter: Filter::Point, run: 7, effort: 1, fps: 30 }
+    Shot { size, depth, filter: Filter::Point, run: 7, effort: 1.0, fps: 30 }
 }
 
 fn stage(name: &str) -> Stage {

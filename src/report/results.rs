@@ -1,4 +1,5 @@
-//! The schema of `results.json`, version 1. Names and nesting are a contract with scripts: add fields, never rename or remove one.
+//! The schema of `results.json`, version 1. Names and nesting are a contract with scripts: add
+//! fields, never rename or remove one.
 
 use std::collections::BTreeMap;
 
@@ -7,8 +8,8 @@ use serde::{Deserialize, Serialize};
 /// [`Results::schema`].
 pub const SCHEMA: u32 = 1;
 
-/// Names that [`Row::metrics`] may hold and tables show, in their order; lower is better for all. `rmspe_share` is there as well: the share of
-/// pixels that `rmspe` is over.
+/// Names that [`Row::metrics`] may hold and tables show, in their order; lower is better for all.
+/// `rmspe_share` is there as well: the share of pixels that `rmspe` is over.
 pub const METRICS: [&str; 11] = [
     "relmse",
     "relmse_trimmed",
@@ -86,10 +87,10 @@ pub struct Row {
     pub technique: String,
     /// What it was given.
     pub budget: Budget,
-    /// Whether earlier frames change later ones. Its effort is whole then and its frame takes what it takes, near to the
-    /// budget: `ttuv`, error times time, is what compares it.
+    /// Whether its effort is whole, as that of a technique with reservoirs is. Its frame takes what
+    /// it takes, near to the budget: `ttuv`, error times time, is what compares it.
     #[serde(default)]
-    pub history: bool,
+    pub whole_effort: bool,
     /// What it promises on this scene.
     pub claim: Claim,
     /// `cpu` or `gpu`.
@@ -122,10 +123,11 @@ pub struct Budget {
     pub kind: BudgetKind,
     /// Milliseconds a frame, or samples a pixel.
     pub value: f64,
-    /// Complete independent estimates a frame.
-    pub effort: u32,
-    /// Whether a technique without history has a median steady frame that is more than 5 % off the budget. One with
-    /// history has whole efforts only, and is never marked.
+    /// Complete independent estimates a pixel and frame; with a fraction, so many pixels have one
+    /// more.
+    pub effort: f32,
+    /// Whether a technique whose effort may have a fraction has a median steady frame that is more
+    /// than 5 % off the budget. One with whole efforts is never marked.
     pub over_budget: bool,
 }
 
@@ -170,12 +172,13 @@ pub struct FrameTime {
     pub p99: f64,
     /// Median of the restarts' first frames.
     pub first: f64,
-    /// 95 % interval of the mean, over restarts, of a restart's median steady frame (Student). Restarts are spread over the whole
-    /// run, so it covers changes of the machine's speed, as far as they do not last for much of the run.
+    /// 95 % interval of the mean, over restarts, of a restart's median steady frame (Student).
+    /// Restarts of all techniques go by turns, so it covers changes of the machine's speed, as far
+    /// as they do not last for much of the run.
     #[serde(default)]
     pub ci: Option<[f64; 2]>,
-    /// Median of the steady frames that the effort was calibrated with, before the first restart; none without a frame time
-    /// to keep.
+    /// Median of steady frames at the calibrated effort, before the first restart; none without a
+    /// frame time to keep.
     #[serde(default)]
     pub calibrated: Option<f64>,
     /// The same frames again, after everything else.
@@ -187,8 +190,8 @@ impl FrameTime {
     /// A change of the calibrated time that is more than this share of it is a drift.
     pub const DRIFT: f64 = 0.05;
 
-    /// How much longer the calibrated frames take after the run than before, as a share; `None` where that is 5 % or less, or
-    /// not known.
+    /// How much longer the calibrated frames take after the run than before, as a share; `None`
+    /// where that is 5 % or less, or not known.
     #[must_use]
     pub fn drift(&self) -> Option<f64> {
         let change = self.recalibrated? / self.calibrated? - 1.0;
@@ -247,8 +250,8 @@ pub struct Curve {
 /// One budget of a [`Curve`].
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct CurvePoint {
-    /// Complete independent estimates a frame.
-    pub effort: u32,
+    /// Complete independent estimates a pixel and frame.
+    pub effort: f32,
     /// Median steady frame.
     pub ms: f64,
     /// At that effort.
@@ -290,8 +293,8 @@ pub(crate) mod tests {
         let figure = Figure { mean: relmse, ci: Some([relmse - half, relmse + half]) };
         Row {
             technique: technique.into(),
-            budget: Budget { kind: BudgetKind::Spp, value: 1.0, effort: 1, over_budget: false },
-            history: false,
+            budget: Budget { kind: BudgetKind::Spp, value: 1.0, effort: 1.0, over_budget: false },
+            whole_effort: false,
             claim: Claim::Unbiased,
             backend: "cpu".into(),
             frames: 16,

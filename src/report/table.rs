@@ -4,8 +4,8 @@ use std::fmt::Write as _;
 
 use super::{Budget, BudgetKind, Figure, FrameTime, METRICS, Results, Row, SpectrumPoint};
 
-/// A Markdown table, a row a technique, with the settings above it. A figure is bold only where it is the lowest and its 95 %
-/// interval meets no other row's.
+/// A Markdown table, a row a technique, with the settings above it. A figure is bold only where it
+/// is the lowest and its 95 % interval meets no other row's.
 #[must_use]
 pub fn markdown(results: &Results) -> String {
     table(results, &METRICS)
@@ -77,11 +77,8 @@ fn heading(results: &Results) -> String {
 }
 
 fn effort(row: &Row) -> String {
-    if row.budget.over_budget {
-        format!("{} (off budget)", row.budget.effort)
-    } else {
-        row.budget.effort.to_string()
-    }
+    let effort = row.budget.effort;
+    if row.budget.over_budget { format!("{effort} (off budget)") } else { effort.to_string() }
 }
 
 /// The median with half of its interval, and how far it drifted.
@@ -143,7 +140,7 @@ fn notes(results: &Results) -> Vec<String> {
     }
     for row in results.rows.iter().filter(|row| is_beside_budget(row)) {
         notes.push(format!(
-            "`{}` keeps history, so its effort is whole: its frames took {} ms of {} ms. Compare `ttuv`, error times time.",
+            "`{}` keeps reservoirs, so its effort is whole: its frames took {} ms of {} ms. Compare `ttuv`, error times time.",
             row.technique,
             figure(row.ms_per_frame.median),
             figure(row.budget.value)
@@ -170,11 +167,11 @@ fn notes(results: &Results) -> Vec<String> {
     notes
 }
 
-/// Whether a technique with history is more than 5 % beside a frame time.
+/// Whether a technique with whole efforts is more than 5 % beside a frame time.
 fn is_beside_budget(row: &Row) -> bool {
     let Budget { kind, value, .. } = row.budget;
     let off = (row.ms_per_frame.median - value).abs() > 0.05 * value;
-    row.history && kind == BudgetKind::FrameTime && off
+    row.whole_effort && kind == BudgetKind::FrameTime && off
 }
 
 /// Pads the columns so that the table can be read as text.
@@ -235,7 +232,8 @@ fn spread(half: f64, mean: f64) -> String {
     format!("{half:.digits$}")
 }
 
-/// Comma-separated values, a row a technique; each metric has its mean and both ends of its interval.
+/// Comma-separated values, a row a technique; each metric has its mean and both ends of its
+/// interval.
 #[must_use]
 pub fn csv(results: &Results) -> String {
     let mut text = String::from(
@@ -376,7 +374,7 @@ mod tests {
         let mut drifted = row("a", 0.1, 0.01);
         drifted.ms_per_frame.recalibrated = Some(11.0);
         let mut reuse = row("b", 0.2, 0.01);
-        reuse.history = true;
+        reuse.whole_effort = true;
         reuse.budget = Budget { kind: BudgetKind::FrameTime, value: 12.0, ..reuse.budget };
         let text = markdown(&results(vec![drifted, reuse.clone()]));
         assert!(
@@ -384,14 +382,14 @@ mod tests {
             "{text}"
         );
         assert!(
-            text.contains("`b` keeps history") && text.contains("10.0 ms of 12.0 ms"),
+            text.contains("`b` keeps reservoirs") && text.contains("10.0 ms of 12.0 ms"),
             "{text}"
         );
         assert!(!text.contains("off budget") && !text.contains("`b` drifted"), "{text}");
         // Within 5 % there is nothing to say.
         reuse.budget.value = 10.2;
         let text = markdown(&results(vec![row("a", 0.1, 0.01), reuse]));
-        assert!(!text.contains("drift") && !text.contains("keeps history"), "{text}");
+        assert!(!text.contains("drift") && !text.contains("keeps reservoirs"), "{text}");
     }
 
     #[test]

@@ -198,7 +198,7 @@ fn compare_writes_what_it_promises_and_uses_its_cache() {
     assert!(results.command.starts_with("afterimage compare ") && !results.interrupted);
     assert_eq!(results.rows.len(), afterimage::techniques::REGISTRY.len());
     for row in &results.rows {
-        assert_eq!((row.frames, row.restarts, row.budget.effort, row.non_finite), (2, 3, 1, 0));
+        assert_eq!((row.frames, row.restarts, row.budget.effort, row.non_finite), (2, 3, 1.0, 0));
         assert!(
             row.ms_per_frame.median > 0.0 && row.ms_per_frame.first > 0.0 && !row.passes.is_empty()
         );
@@ -253,12 +253,12 @@ fn frame_times_have_intervals_and_are_measured_again() {
     let ran = place.run(&format!("{line} --frame-time 6 --out timed")).done();
     assert!(ran.out.contains(" ± "), "{}", ran.out);
     let results = place.results("timed");
-    assert_eq!(results.rows.iter().map(|row| row.history).collect::<Vec<_>>(), [false, true]);
+    assert_eq!(results.rows.iter().map(|row| row.whole_effort).collect::<Vec<_>>(), [false, true]);
     for row in &results.rows {
         let time = &row.ms_per_frame;
         let [low, high] = time.ci.unwrap();
         assert!(low < high && time.calibrated.unwrap() > 0.0 && time.recalibrated.unwrap() > 0.0);
-        assert!(!(row.history && row.budget.over_budget), "{row:?}");
+        assert!(!(row.whole_effort && row.budget.over_budget), "{row:?}");
     }
     let csv = std::fs::read_to_string(place.path("timed/table.csv")).unwrap();
     assert!(csv.starts_with("technique,") && csv.contains(",ms_median,ms_low,ms_high,"), "{csv}");
@@ -319,7 +319,8 @@ fn a_ladder_prints_and_writes_a_row_a_rung() {
         assert!(row.contains(rung) && row.contains("| unbiased | 1, 3 | pass"), "{row}");
     }
     assert_eq!(std::fs::read_to_string(place.path("ladder.md")).unwrap(), ran.out);
-    // A rung alone has the seeds, and so the figures, that it has among all. (The clock may give it more restarts.)
+    // A rung alone has the seeds, and so the figures, that it has among all. (The clock may give it
+    // more restarts.)
     let alone =
         place.run(&line.replace("--ladder", "--ladder --rungs occluder --restarts 30")).done();
     let again = place.run(&line.replace("--ladder", "--ladder --restarts 30")).done();
@@ -395,7 +396,8 @@ fn lag_without_history_is_one_frame() {
 #[test]
 fn a_failed_verdict_is_status_one_only_where_check_asks() {
     let place = Place::new("check");
-    // 16384 pixels x 6 restarts: the standard error of the image is below 0.5 %; a reference 10 % too bright is far from that.
+    // 16384 pixels x 6 restarts: the standard error of the image is below 0.5 %; a reference 10 %
+    // too bright is far from that.
     let line = format!(
         "compare {} --size 64x64 --depth 3 --spp 4 --frames 1 --restarts 6 --curve-restarts 0 --techniques nee --reference-time 5",
         cornell()

@@ -1,4 +1,5 @@
-//! A technique that is not registered, made of public items only: can all that is done with registered ones be done with it?
+//! A technique that is not registered, made of public items only: can all that is done with
+//! registered ones be done with it?
 
 use std::sync::Arc;
 
@@ -116,7 +117,7 @@ impl Technique for Walks {
     fn plan(&self, facts: &SceneFacts, shot: &Shot) -> Plan {
         let mut plan = Builder::new(self.spec(), facts, shot);
         let segments = plan.buffer(SEGMENTS, Elements::Pixels, false);
-        let estimates = u64::from(shot.effort);
+        let estimates = u64::from(shot.most_estimates());
         let bounces = u64::from(shot.depth.saturating_sub(1)) * u64::from(self.walks) * estimates;
         let mut writes = vec![Plan::RADIANCE, segments];
         if shot.filter == Filter::Point {
@@ -145,10 +146,11 @@ impl Technique for Walks {
         let segments: &mut [u32] = band.take(inputs.id(SEGMENTS));
         let emission: &mut [[f32; 3]] = band.take_some(boxed.then_some(Plan::EMISSION));
         let hits: &[PrimaryHit] = if boxed { &[] } else { inputs.read(Plan::HITS) };
-        let share = 1.0 / inputs.shot.effort as f32;
         for (local, pixel) in pixels.enumerate() {
             let (mut sum, mut seen) = (Vec3::ZERO, Vec3::ZERO);
-            for estimate in 0..inputs.shot.effort {
+            let estimates = inputs.estimates(pixel);
+            let share = 1.0 / estimates as f32;
+            for estimate in 0..estimates {
                 let at = inputs.sample_position(pixel.x, pixel.y, estimate);
                 let ray = inputs.camera.ray(at);
                 let hit = if boxed {
@@ -201,7 +203,7 @@ fn reference(test: &str) -> ReferenceSettings {
 fn ladder(entry: &Entry, test: &str) -> LadderOutcome {
     let trial = Trial {
         ages: Ages::Given(vec![1, 2]),
-        effort: 4,
+        effort: 4.0,
         delta: 0.04,
         reference: reference(test),
         ..Trial::quick()

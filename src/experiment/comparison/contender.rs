@@ -23,13 +23,14 @@ pub(super) struct Contender {
     pub(super) spec: String,
     pub(super) technique: Arc<dyn Technique>,
     pub(super) number: u32,
-    pub(super) effort: u32,
+    pub(super) effort: f32,
     pub(super) frames: FrameLoop,
     pub(super) steady: Vec<f64>,
     pub(super) first: Vec<f64>,
     /// Each restart's median steady frame.
     pub(super) medians: Moments,
-    /// Median steady frame before the first restart and after the last one, where there is a frame time to keep.
+    /// Median steady frame before the first restart and after the last one, where there is a frame
+    /// time to keep.
     pub(super) calibrated: Option<f64>,
     pub(super) recalibrated: Option<f64>,
     pub(super) passes: Vec<(&'static str, Vec<f64>)>,
@@ -52,7 +53,7 @@ impl Contender {
         session: &Session,
         technique: &Arc<dyn Technique>,
         number: u32,
-        effort: u32,
+        effort: f32,
     ) -> Result<Self> {
         Ok(Self {
             spec: technique.spec(),
@@ -96,8 +97,8 @@ impl Contender {
         median_p99(self.times())[0]
     }
 
-    /// Frames that a picture of the judged quality takes where no time is measured: without history, all
-    /// frames are alike.
+    /// Frames that a picture of the judged quality takes where no time is measured: without
+    /// history, all frames are alike.
     fn needed_frames(&self, judged: JudgedFrames) -> u32 {
         if judged.accumulate || self.frames.plan().keeps_history() { judged.frames } else { 1 }
     }
@@ -124,8 +125,8 @@ impl Contender {
             }
             let times = if at == 0 { &mut *first } else { &mut *steady };
             times.push(frame.milliseconds());
-            // Passes that run in the first frame only are no part of a steady frame, unless there is no
-            // other.
+            // Passes that run in the first frame only are no part of a steady frame, unless there
+            // is no other.
             if at > 0 || judged.frames == 1 {
                 *work = *work + frame.counters;
                 *work_frames += 1;
@@ -169,8 +170,8 @@ impl Contender {
     }
 }
 
-/// The smallest variance of a pixel among techniques: a lower bound of their mean squared errors, found
-/// without a reference.
+/// The smallest variance of a pixel among techniques: a lower bound of their mean squared errors,
+/// found without a reference.
 pub(super) fn pilot(
     session: &Session,
     contenders: &mut [Contender],
@@ -190,7 +191,8 @@ pub(super) fn pilot(
             progress.step();
         }
         let variance = bias::mean_variance(&restarts, session.shot.pixels());
-        // A picture without any noise (black, or emission only) says nothing about what the reference needs.
+        // A picture without any noise (black, or emission only) says nothing about what the
+        // reference needs.
         if variance > 0.0 {
             smallest = smallest.min(variance);
         }
@@ -235,8 +237,8 @@ impl Comparison {
         for index in 0..self.restarts {
             for contender in contenders.iter_mut() {
                 progress.say(&contender.spec);
-                // Without history and motion all frames have one law: a first and a steady one give picture
-                // and times.
+                // Without history and motion all frames have one law: a first and a steady one give
+                // picture and times.
                 let all = moves || !contender.warmup.is_empty();
                 let needed =
                     if all { judged.frames } else { contender.needed_frames(judged).max(2) };

@@ -1,5 +1,6 @@
 //! Error against time.
 
+use super::budget::has_whole_efforts;
 use super::contender::{Contender, judged_picture};
 use super::{Comparison, JudgedFrames};
 use crate::Result;
@@ -9,17 +10,23 @@ use crate::experiment::seeds::{SeedUse, seed};
 use crate::experiment::session::Session;
 use crate::frame::FrameLoop;
 use crate::picture::Picture;
+use crate::plan::Shot;
 use crate::report::{Curve, CurvePoint};
 use crate::stats::Moments;
 
-/// Efforts of a curve beside `effort` itself: a quarter, a half and twice of it, or two and four times an effort of 1.
-fn other_efforts(effort: u32) -> Vec<u32> {
-    let mut efforts = vec![effort.div_ceil(4), effort.div_ceil(2), effort.saturating_mul(2)];
+/// Efforts of a curve beside `effort` itself: a quarter, a half and twice of it, or two and four
+/// times an effort near 1; whole where that is all that a technique has.
+fn other_efforts(effort: f32, whole: bool) -> Vec<f32> {
+    let round = |wanted: f32| {
+        let rounded = if whole { wanted.ceil() } else { (100.0 * wanted).round() / 100.0 };
+        rounded.clamp(1.0, Shot::MOST_EFFORT)
+    };
+    let mut efforts = [0.25, 0.5, 2.0].map(|factor| round(factor * effort)).to_vec();
     efforts.dedup();
     efforts.retain(|other| *other != effort);
     // A line needs three points; four times the effort takes as long as all others together.
     if efforts.len() < 2 {
-        efforts.push(effort.saturating_mul(4));
+        efforts.push(round(4.0 * effort));
     }
     efforts
 }
@@ -27,7 +34,7 @@ fn other_efforts(effort: u32) -> Vec<u32> {
 /// A point of a curve in the making.
 struct Measured<'a> {
     contender: &'a Contender,
-    effort: u32,
+    effort: f32,
     frames: FrameLoop,
     judged: JudgedFrames,
     times: Vec<f64>,
@@ -38,7 +45,7 @@ impl<'a> Measured<'a> {
     fn new(
         session: &Session,
         contender: &'a Contender,
-        effort: u32,
+        effort: f32,
         judged: JudgedFrames,
     ) -> Result<Self> {
         let history = judged.accumulate || contender.frames.plan().keeps_history();
@@ -57,7 +64,8 @@ impl<'a> Measured<'a> {
     /// Renders one restart.
     fn restart(&mut self, session: &Session, index: u32, truth: &Picture) -> Result<()> {
         let Self { contender, effort, frames, judged, times, relmse } = self;
-        let index = effort.wrapping_mul(4096).wrapping_add(index);
+        // Efforts of a curve are more than a hundredth apart.
+        let index = ((100.0 * *effort) as u32).wrapping_mul(4096).wrapping_add(index);
         frames.restart(seed(session.shot.run, SeedUse::Curve, contender.number, index));
         let picture = judged_picture(session, frames, *judged, |at, frame| {
             if at > 0 || judged.frames == 1 {
@@ -75,8 +83,9 @@ impl<'a> Measured<'a> {
 }
 
 impl Comparison {
-    /// The curves of all techniques. The first other efforts of all are measured together, restart by restart and technique by
-    /// technique, then the second ones: all points at once would keep as many loops in memory.
+    /// The curves of all techniques. The first other efforts of all are measured together, restart
+    /// by restart and technique by technique, then the second ones: all points at once would keep
+    /// as many loops in memory.
     pub(super) fn curves(
         &self,
         session: &Session,
@@ -84,7 +93,8 @@ impl Comparison {
         judged: JudgedFrames,
         truth: &Picture,
     ) -> Result<Vec<Curve>> {
-        let efforts: Vec<Vec<u32>> = contenders.iter().map(|c| other_efforts(c.effort)).collect();
+        let others = |c: &Contender| other_efforts(c.effort, has_whole_efforts(c.frames.plan()));
+        let efforts: Vec<Vec<f32>> = contenders.iter().map(others).collect();
         let steps: usize = efforts.iter().map(Vec::len).sum();
         let progress = session.host().begin("curve", steps as u64 * u64::from(self.curve_restarts));
         let mut curves: Vec<Curve> = contenders.iter().map(Contender::own_curve).collect();
@@ -108,7 +118,7 @@ impl Comparison {
             }
         }
         for curve in &mut curves {
-            curve.points.sort_by_key(|point| point.effort);
+            curve.points.sort_by(|a, b| a.effort.total_cmp(&b.effort));
         }
         Ok(curves)
     }
@@ -133,9 +143,17 @@ mod tests {
 
     #[test]
     fn a_curve_has_three_efforts_or_more() {
-        assert_eq!(other_efforts(1), [2, 4]);
-        assert_eq!(other_efforts(2), [1, 4]);
-        assert_eq!(other_efforts(3), [1, 2, 6]);
-        assert_eq!(other_efforts(16), [4, 8, 32]);
+        for (effort, whole, others) in [
+            (1.0, true, &[2.0, 4.0][..]),
+            (1.0, false, &[2.0, 4.0]),
+            (1.2, false, &[1.0, 2.4]),
+            (2.0, true, &[1.0, 4.0]),
+            (3.0, true, &[1.0, 2.0, 6.0]),
+            (3.0, false, &[1.0, 1.5, 6.0]),
+            (16.0, true, &[4.0, 8.0, 32.0]),
+            (9.3, false, &[2.33, 4.65, 18.6]),
+        ] {
+            assert_eq!(other_efforts(effort, whole), others, "{effort}");
+        }
     }
 }

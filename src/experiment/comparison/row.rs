@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::JudgedFrames;
-use super::budget::Settled;
+use super::budget::{Settled, has_whole_efforts};
 use super::contender::Contender;
 use crate::Result;
 use crate::experiment::calibrate::{median_p99, meets};
@@ -46,10 +46,10 @@ impl Contender {
                 value: budget.value,
                 effort: self.effort,
                 over_budget: budget.kind == BudgetKind::FrameTime
-                    && !plan.keeps_history()
+                    && !has_whole_efforts(plan)
                     && !meets(median, budget.value),
             },
-            history: plan.keeps_history(),
+            whole_effort: has_whole_efforts(plan),
             claim: claim(&plan.claim),
             backend: if self.frames.runs_on().is_some() { "gpu" } else { "cpu" }.to_string(),
             frames: judged.frames,

@@ -116,7 +116,8 @@ fn one_of_each() -> Vec<SceneConstants> {
 #[test]
 fn kernels_are_valid_whatever_one_thing_a_scene_has_or_lacks() {
     let facts = &facts()[2];
-    let shot = Shot { size: [64, 64], depth: 3, filter: Filter::Point, run: 1, effort: 1, fps: 30 };
+    let shot =
+        Shot { size: [64, 64], depth: 3, filter: Filter::Point, run: 1, effort: 1.0, fps: 30 };
     for spec in ["nee", "restir-di", "restir-di:visibility=wis-cv,mutations=1"] {
         let technique = parse(spec).unwrap();
         let plan = technique.plan(facts, &shot);
@@ -138,7 +139,7 @@ fn every_kernel_of_every_plan_is_valid() {
         for spec in specs() {
             for filter in [Filter::Point, Filter::Box] {
                 let technique = parse(&spec).unwrap();
-                let shot = Shot { size: [64, 64], depth: 3, filter, run: 1, effort: 1, fps: 30 };
+                let shot = Shot { size: [64, 64], depth: 3, filter, run: 1, effort: 1.0, fps: 30 };
                 let plan = technique.plan(&facts, &shot);
                 for twin in twins(&*technique, &plan).expect("every built-in technique has twins") {
                     for scene in [EVERYTHING, LITTLE] {
