@@ -5,7 +5,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::{Status, figures, print};
+use super::{Status, print};
+use crate::experiment::figures;
 use crate::picture::Picture;
 use crate::report::{METRICS, figure, read_exr};
 use crate::{Error, Result};

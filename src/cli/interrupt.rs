@@ -3,9 +3,6 @@
 use std::sync::Once;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use crate::error::ErrorKind;
-use crate::{Error, Result};
-
 /// Exit status of an interrupted run: 128 + SIGINT, as shells report it.
 pub(super) const STATUS: u8 = 130;
 
@@ -26,9 +23,4 @@ pub(super) fn listen() {
 /// Whether the user asked to stop.
 pub(super) fn asked() -> bool {
     ASKED.load(Ordering::SeqCst)
-}
-
-/// An error if the user asked to stop.
-pub(super) fn check() -> Result<()> {
-    if asked() { Err(Error::new(ErrorKind::Interrupted, "stopped by the user")) } else { Ok(()) }
 }

@@ -7,7 +7,7 @@ use crate::gpu::Gpu;
 use crate::plan::Filter;
 use crate::scene::{Curve, Interpolation, Track, Transform};
 use crate::stats::{Margin, Moments, Verdict, equivalence, t_test};
-use crate::techniques::parse;
+use crate::techniques::{REGISTRY, parse};
 
 fn device() -> Option<Arc<Gpu>> {
     crate::gpu::tests::device()
@@ -179,11 +179,8 @@ fn every_pass_gives_the_same_from_the_same_bytes() {
     for spec in POLICIES {
         passes_agree(&gpu, &still, spec, shot([64, 48], 2));
     }
-    for spec in [
-        "nee",
+    for spec in REGISTRY.iter().map(|entry| entry.name).chain([
         "nee:lights=all",
-        "bsdf",
-        "ris",
         "restir-di:neighbours=0",
         "restir-di:visibility=wis-cv,neighbours=0",
         "restir-di:rounds=3,mis=balance,neighbours=2",
@@ -191,7 +188,7 @@ fn every_pass_gives_the_same_from_the_same_bytes() {
         "restir-di:mis=contribution,neighbours=3,temporal-mis=inverse-count",
         "restir-di:mis=pairwise,decoupled=true,visibility=reuse",
         "restir-di:visibility=reuse,boiling=0.2,max-age=60,decoupled=true",
-    ] {
+    ]) {
         passes_agree(&gpu, &still, spec, shot([64, 48], 3));
     }
     let many = many();

@@ -26,6 +26,9 @@ impl<R> Keys<R> {
     const SECOND_BOUNCE: BufferKey<R> = BufferKey::new("second bounce");
     /// What the last spatial round leaves to the next frame.
     const HISTORY: BufferKey<R> = BufferKey::new("history");
+    /// All of them.
+    pub(crate) const ALL: [BufferKey<R>; 4] =
+        [Self::RESERVOIRS, Self::BOUNCE, Self::SECOND_BOUNCE, Self::HISTORY];
 
     /// The key of a place.
     pub(crate) const fn at(place: Place) -> BufferKey<R> {

@@ -104,6 +104,11 @@ fn wrong_input_is_status_two_and_one_line_that_lists_what_exists() {
     let scene = cornell();
     std::fs::write(place.path("bad.exr"), b"no picture").unwrap();
     std::fs::write(place.path("bad.pbrt"), b"WorldBegin Shape \"cube\"").unwrap();
+    std::fs::write(
+        place.path("dark.pbrt"),
+        b"Camera \"perspective\"\nWorldBegin\nShape \"sphere\"\n",
+    )
+    .unwrap();
     for (line, parts) in [
         (
             format!("render {scene} --technique ne"),
@@ -130,7 +135,7 @@ fn wrong_input_is_status_two_and_one_line_that_lists_what_exists() {
         (format!("inspect {scene} --technique nee --pixel 999,0 --size 8x8"), vec!["999,0", "8x8"]),
         ("diff bad.exr bad.exr".to_string(), vec!["bad.exr"]),
         ("generate many-lights:x".to_string(), vec!["many-lights:N"]),
-        (format!("compare {} --warmup", moving), vec!["--warmup", "does not move"]),
+        (format!("compare {} --warmup", moving), vec!["`warmup`", "does not move"]),
         (format!("verify nee {scene} --ages 0,5"), vec!["0,5", "1,5,20"]),
         (format!("verify nee {scene} --delta 0"), vec!["percent"]),
         (format!("verify nee {scene} --rungs still"), vec!["--ladder"]),
@@ -141,6 +146,14 @@ fn wrong_input_is_status_two_and_one_line_that_lists_what_exists() {
         (format!("verify ne {scene} --ladder"), vec!["no technique is called `ne`"]),
         (format!("verify nee {scene} --ladder --reference bad.exr"), vec!["--reference"]),
         ("verify nee --ladder".to_string(), vec!["no scene is given", "scenes/penumbra.pbrt"]),
+        (format!("verify nee {scene} --ladder --motion light"), vec!["--motion", "ladder"]),
+        (format!("compare {scene} --motion sideways"), vec!["sideways", "occluder", "(0, 0.1]"]),
+        (format!("compare {scene} --motion light:0.5"), vec!["light:0.5", "(0, 0.1]"]),
+        (format!("render {scene} --look-at 0,1,2"), vec!["0,1,2", "nine numbers"]),
+        (format!("render {scene} --look-at 0,1,2,0,1,2,0,1,0"), vec!["target is its eye"]),
+        (format!("render {scene} --look-at 0,1,2,0,5,2,0,1,0"), vec!["up vector"]),
+        (format!("verify nee {scene} --look-at nan,1,2,0,5,2,0,1,0"), vec!["finite"]),
+        ("render dark.pbrt --motion light".to_string(), vec!["no light that could move"]),
         (format!("lag {scene}"), vec!["--technique"]),
         ("lag many-lights:3 --technique ne".to_string(), vec!["known: nee, ris"]),
         (format!("lag {scene} --technique nee --reference bad.exr"), vec!["--reference"]),
@@ -287,6 +300,54 @@ fn a_ladder_prints_and_writes_a_row_a_rung() {
     let row =
         |ran: &Ran| ran.out.lines().find(|l| l.contains("occluder |")).unwrap().replace(' ', "");
     assert_eq!(row(&alone), row(&again));
+}
+
+#[test]
+fn motion_and_camera_are_part_of_the_scene_that_references_are_of() {
+    let place = Place::new("motion");
+    let line = format!(
+        "compare {} --size 32x32 --depth 2 --spp 8 --restarts 12 --curve-restarts 0 --techniques nee --reference-time 4",
+        cornell()
+    );
+    let moved = format!("{line} --motion light:0.05 --frames 5");
+    let verdict = |folder: &str| place.results(folder).rows[0].bias.clone().unwrap().verdict;
+    let cached = || std::fs::read_dir(place.path("cache/afterimage")).unwrap().count();
+
+    // The reference is that of the frame that is judged; the first frame's is wrong for the fifth.
+    place.run(&format!("{moved} --out fifth")).done();
+    assert_ne!(verdict("fifth"), "fail");
+    place.run(&format!("{moved} --frames 1 --out first").replace("--frames 5 ", "")).done();
+    assert_ne!(verdict("first"), "fail");
+    assert_eq!(cached(), 2);
+    place.run(&format!("{moved} --reference first/reference.exr --out wrong")).done();
+    assert_eq!(verdict("wrong"), "fail");
+    assert!(place.results("fifth").command.contains("--motion light:0.05"));
+
+    // Another speed and another camera are other pictures.
+    for (more, known) in
+        [("--motion light:0.04 --frames 5", 3), ("--look-at 0,1,-4,0,1,0,0,1,0", 4)]
+    {
+        let ran = place.run(&format!("{line} {more} --out other")).done();
+        assert_eq!(cached(), known, "{more}");
+        assert!(!ran.err.contains("warning"), "{ran:?}");
+    }
+
+    // What slides with the camera's picture: the lamp, which is seen without noise.
+    let emission = |more: &str| {
+        place.run(&format!("render {} --size 32x32 {more} --out shown.exr", cornell())).done();
+        read_exr(&place.path("shown.exr")).unwrap().emission.unwrap()
+    };
+    let slid = "--filter point --motion camera:0.05";
+    let [first, third] = [1, 3].map(|frame| emission(&format!("{slid} --frames {frame}")));
+    assert_eq!(first, emission("--filter point --frames 1"), "the first frame is the file's");
+    assert_ne!(first, third);
+    // The file's own camera, given again.
+    let own = "--look-at 0,1.6,-5.2,0,1.6,0,0,1,0";
+    assert_eq!(first, emission(&format!("--filter point --frames 1 {own}")));
+
+    let line = format!("verify nee {} --depth 2 --ages 1,3 --delta 10 {ITSELF}", cornell());
+    let ran = place.run(&format!("{line} --motion occluder:0.02")).done();
+    assert!(ran.out.contains("verdict    pass"), "{ran:?}");
 }
 
 #[test]

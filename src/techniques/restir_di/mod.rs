@@ -19,12 +19,13 @@
 
 mod kernels;
 mod plan;
+mod rungs;
 mod twin;
 
 use crate::counters::Counters;
 use crate::error::{Error, Result};
 use crate::pass::{Band, FrameInputs};
-use crate::plan::{Claim, Plan, SceneFacts, Shot};
+use crate::plan::{BufferPlan, Claim, Plan, SceneFacts, Shot};
 use crate::resampling::{
     Conditions, ControlVariate, Decoupled, Estimator, Family, Selected, WeightedVisibility,
 };
@@ -100,6 +101,8 @@ pub(super) const RIS: Entry = Entry {
     build: |values| {
         Ok(Box::new(spec::build(RestirDi::ris(), &rows_of_ris(), values)?.validated()?))
     },
+    rungs: &[],
+    variants: Vec::new,
 };
 
 pub(super) const RESTIR_DI: Entry = Entry {
@@ -107,6 +110,8 @@ pub(super) const RESTIR_DI: Entry = Entry {
     about: "direct light with samples reused over frames and pixels (Bitterli et al. 2020, Lin et al. 2022); other light as nee",
     parameters: || spec::describe(&rows(), &RestirDi::default()),
     build: |values| Ok(Box::new(spec::build(RestirDi::default(), &rows(), values)?.validated()?)),
+    rungs: rungs::RUNGS,
+    variants: rungs::variants,
 };
 
 /// Whether light points are made ahead.
@@ -168,6 +173,9 @@ pub struct RestirDi {
     pub mis: Family,
     /// What becomes of the spatial result.
     pub spatial: SpatialUse,
+    /// Frames of history from which a pixel takes nothing from its neighbours, in [0, 250]; 0: every
+    /// pixel always takes.
+    pub mature: u32,
     /// What is done with shadow rays. Visibility in the target is the default: of all policies it had the least relmse times time on
     /// `penumbra` and `many-lights:1000` (`docs/results.md`).
     pub visibility: Visibility,
@@ -207,6 +215,7 @@ impl Default for RestirDi {
             rounds: 1,
             mis: Family::DefensivePairwise,
             spatial: SpatialUse::Feedback,
+            mature: 0,
             visibility: Visibility::InTarget,
             visibility_age: REUSE_AGE,
             visibility_distance: REUSE_DISTANCE,
@@ -284,7 +293,7 @@ impl RestirDi {
     /// The parameters of the passes of reuse.
     pub(crate) fn settings(&self) -> Settings {
         let Self { cap, temporal_mis, neighbours, radius, taps, rounds, mis, spatial, .. } = *self;
-        let Self { decoupled, mutations, boiling, max_age, .. } = *self;
+        let Self { mature, decoupled, mutations, boiling, max_age, .. } = *self;
         Settings {
             cap,
             temporal_mis,
@@ -294,6 +303,7 @@ impl RestirDi {
             rounds,
             mis,
             spatial,
+            mature,
             decoupled,
             mutations,
             boiling,
@@ -402,8 +412,18 @@ impl Technique for RestirDi {
         let one_chain = plan
             .id(Keys::<Record>::RESERVOIRS)
             .is_none_or(|id| plan.buffers[id.0].bytes as usize == size_of::<Record>());
-        let known = self.taps == Taps::Random && self.spatial == SpatialUse::Feedback && one_chain;
+        let known = self.taps == Taps::Random
+            && self.spatial == SpatialUse::Feedback
+            && self.mature == 0
+            && one_chain;
         known.then(|| self.kernel_twin(kernel, plan))
+    }
+
+    fn describe(&self, buffer: &BufferPlan, element: &[u32]) -> Vec<(&'static str, String)> {
+        if Keys::<Record>::ALL.iter().all(|key| key.name != buffer.name) {
+            return Vec::new();
+        }
+        bytemuck::cast_slice::<u32, Record>(element).iter().flat_map(Record::describe).collect()
     }
 }
 

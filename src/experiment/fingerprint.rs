@@ -9,7 +9,7 @@ use std::hash::Hasher;
 use crate::scene::{Geometry, Image, ImageData, Mesh, Object, Scene, Shape};
 
 /// Feeds everything but name, film and depth, which a run sets by itself.
-pub(super) fn feed(scene: &Scene, hasher: &mut dyn Hasher) {
+pub(crate) fn feed(scene: &Scene, hasher: &mut dyn Hasher) {
     // Destructured without `..`, so that a new field cannot be forgotten.
     let Scene {
         name: _,

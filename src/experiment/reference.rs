@@ -1,88 +1,117 @@
-//! The picture that the others are compared with: read from a file, taken from the cache, or made with `nee` until it is good enough.
+//! The picture that the others are compared with: read from a file, taken from the cache, or made with a
+//! technique until it is good enough.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::args::ReferenceArgs;
-use super::engine::{self, Engine};
-use super::progress::Progress;
-use super::seeds::{Part, seed};
-use super::{interrupt, note};
+use super::bias;
+use super::seeds::{SeedUse, seed};
+use super::session::{self, Mean, Session};
 use crate::picture::Picture;
+use crate::plan::{Filter, Shot};
 use crate::report::{Reference, ReferenceCache, ReferenceInfo, default_cache_dir, read_exr};
 use crate::stats::{Criteria, Verdict};
+use crate::techniques::Technique;
 use crate::{Error, Result};
 
 /// Estimates a frame: enough that primary hits, which all share with point sampling, cost little.
 const EFFORT: u32 = 4;
 /// References are shared by runs of any seed, so theirs is fixed.
 const SEED: u64 = 0x5eed_0000_0000_0001;
-/// Never stop before: the variance itself must be known.
+/// A reference is never finished before: its variance itself must be known.
 const FEWEST_FRAMES: u64 = 16;
 /// A new picture of an unchanged scene raises this, so that old references are not used.
 const IMAGES: u32 = 1;
 /// Frames of effort 1 that a stored reference is checked against.
 const CHECK_FRAMES: u32 = 32;
-/// Between two writes of an unfinished reference.
+/// Time between two writes of an unfinished reference.
 const STORE_EVERY: Duration = Duration::from_secs(20);
+
+/// Where references come from.
+#[derive(Clone, Debug)]
+pub struct ReferenceSettings {
+    /// A multilayer EXR to compare with instead of making a reference.
+    pub file: Option<PathBuf>,
+    /// Seconds after which the making of a reference ends; the noise that remains is stated.
+    pub seconds: f64,
+    /// Folder in which references are kept; `None`: `$XDG_CACHE_HOME/afterimage` or `~/.cache/afterimage`.
+    pub cache: Option<PathBuf>,
+}
+
+impl Default for ReferenceSettings {
+    /// A reference in at most 60 seconds, and kept in the user's cache.
+    fn default() -> Self {
+        Self { file: None, seconds: 60.0, cache: None }
+    }
+}
+
+impl ReferenceSettings {
+    /// The size in pixels that a file dictates, and whether the file can be read at all.
+    ///
+    /// # Errors
+    /// As [`read_exr`].
+    pub fn size(&self) -> Result<Option<[u32; 2]>> {
+        let Some(path) = &self.file else { return Ok(None) };
+        let picture = read_exr(path)?.picture;
+        Ok(Some([picture.width, picture.height]))
+    }
+}
 
 /// A reference and where it is from.
 #[derive(Debug)]
-pub(super) struct Made {
+pub struct SourcedReference {
+    /// Means, with variances unless it is from a file.
     pub reference: Reference,
+    /// What made it, and how good it is.
     pub info: ReferenceInfo,
 }
 
-/// Checks what can be checked before anything is rendered, and gives the size that a file dictates.
-pub(super) fn file_size(args: &ReferenceArgs) -> Result<Option<[u32; 2]>> {
-    let Some(path) = &args.reference else { return Ok(None) };
-    let picture = read_exr(path)?.picture;
-    Ok(Some([picture.width, picture.height]))
-}
-
-/// The reference for `engine`, whose scene does not move, with a pixel variance of at most `variance` unless the time is up first.
+/// The reference for a session whose scene does not move, made with `technique`, with a pixel variance of
+/// at most `variance` unless the time is up first.
 pub(super) fn obtain(
-    engine: &Engine,
-    args: &ReferenceArgs,
-    spec: &str,
+    session: &Session,
+    settings: &ReferenceSettings,
+    technique: &Arc<dyn Technique>,
     variance: f64,
-) -> Result<Made> {
-    if let Some(path) = &args.reference {
-        return from_file(engine, path);
+) -> Result<SourcedReference> {
+    if let Some(path) = &settings.file {
+        return from_file(session, path);
     }
-    let cache = ReferenceCache::new(match &args.cache {
+    let cache = ReferenceCache::new(match &settings.cache {
         Some(folder) => folder.clone(),
         None => default_cache_dir()?,
     });
-    let technique = engine::technique(spec)?;
-    let key = engine.key(&format!("{} effort {EFFORT} images {IMAGES}", technique.spec()));
+    let key = session.key(&format!("{} effort {EFFORT} images {IMAGES}", technique.spec()));
     let (stored, warning) = cache.load(key)?;
     if let Some(warning) = warning {
-        note(&format!("warning: {warning}"));
+        session.host().note(&format!("warning: {warning}"));
     }
-    let mut stored = stored.filter(|r| r.size() == engine.shot.size);
+    let mut stored = stored.filter(|r| r.size() == session.shot.size);
     if let Some(reference) = &stored
-        && !agrees(engine, spec, reference)?
+        && !agrees(session, technique, reference)?
     {
-        note("warning: the stored reference differs from what is rendered now; it is made anew");
+        session.host().note(
+            "warning: the stored reference differs from what is rendered now; it is made anew",
+        );
         stored = None;
     }
     let mut source = if stored.is_some() { "cache" } else { "made" };
-    let mut reference = stored.unwrap_or_else(|| Reference::new(engine.shot.size));
+    let mut reference = stored.unwrap_or_else(|| Reference::new(session.shot.size));
     if !good(&reference, variance) {
         if source == "cache" {
             source = "cache, continued";
         }
         let begin = Instant::now();
         let mut stored_at = begin;
-        let limit = Duration::from_secs_f64(args.reference_time.min(1e6));
-        let progress = Progress::new("reference", 1);
+        let limit = Duration::from_secs_f64(settings.seconds.min(1e6));
+        let progress = session.host().begin("reference", 1);
         // Frames of one session have consecutive numbers under one seed, and no two sessions start after equally many frames.
         let first = reference.frames() as u32;
         let mut frames =
-            engine.start_reference(&technique, EFFORT, seed(SEED, Part::Reference, 0, first))?;
+            session.start_reference(technique, EFFORT, seed(SEED, SeedUse::Reference, 0, first))?;
         while !good(&reference, variance) {
-            let frame = match engine::next(&mut frames) {
+            let frame = match session.next(&mut frames) {
                 Ok(frame) => frame,
                 Err(error) => {
                     cache.store(key, &reference)?;
@@ -115,7 +144,7 @@ pub(super) fn obtain(
         }
         cache.store(key, &reference)?;
     }
-    interrupt::check()?;
+    session.check()?;
     let info = ReferenceInfo {
         source: source.to_string(),
         technique: Some(technique.spec()),
@@ -123,7 +152,7 @@ pub(super) fn obtain(
         variance: reference.variance(),
         share_of_smallest_mse: None,
     };
-    Ok(Made { reference, info })
+    Ok(SourcedReference { reference, info })
 }
 
 fn good(reference: &Reference, variance: f64) -> bool {
@@ -134,24 +163,27 @@ fn good(reference: &Reference, variance: f64) -> bool {
 ///
 /// α = 10⁻⁶ in all. Student's t with 31 degrees of freedom exceeds 6.8 with probability 10⁻⁷, so 32 frames of 256² pixels with
 /// c = σ/μ = 1 show a change of 0.5 % of the whole picture.
-fn agrees(engine: &Engine, spec: &str, reference: &Reference) -> Result<bool> {
-    let mut frames =
-        engine.start_reference(&engine::technique(spec)?, 1, seed(SEED, Part::Check, 0, 0))?;
-    let mut fresh = super::bias::restarts(engine.shot.size)?;
+fn agrees(
+    session: &Session,
+    technique: &Arc<dyn Technique>,
+    reference: &Reference,
+) -> Result<bool> {
+    let mut frames = session.start_reference(technique, 1, seed(SEED, SeedUse::Check, 0, 0))?;
+    let mut fresh = bias::restarts(session.shot.size)?;
     for _ in 0..CHECK_FRAMES {
-        fresh.push(&engine::next(&mut frames)?.picture().pixels)?;
+        fresh.push(&session.next(&mut frames)?.picture().pixels)?;
     }
     let criteria =
         Criteria { delta: 1e-9, difference_alpha: 1e-7, tile_alpha: 1e-7, ..Criteria::default() };
-    Ok(super::bias::judge(&fresh, reference, &criteria)?.verdict != Verdict::Fail)
+    Ok(bias::judge(&fresh, reference, &criteria)?.verdict != Verdict::Fail)
 }
 
 /// Reflected light of a picture that may hold emission: what the file tells apart, else what this scene emits.
-fn from_file(engine: &Engine, path: &Path) -> Result<Made> {
+fn from_file(session: &Session, path: &Path) -> Result<SourcedReference> {
     let file = read_exr(path)?;
     let size = [file.picture.width, file.picture.height];
-    if size != engine.shot.size {
-        let [width, height] = engine.shot.size;
+    if size != session.shot.size {
+        let [width, height] = session.shot.size;
         let message = format!(
             "the reference is {}x{}, but the pictures are {width}x{height}",
             size[0], size[1]
@@ -164,7 +196,7 @@ fn from_file(engine: &Engine, path: &Path) -> Result<Made> {
             return Err(Error::invalid("its emission layer has another size than its picture")
                 .with_path(path));
         }
-        None => seen_emission(engine)?,
+        None => seen_emission(session)?,
     };
     let pixels = file
         .picture
@@ -185,24 +217,20 @@ fn from_file(engine: &Engine, path: &Path) -> Result<Made> {
         variance: None,
         share_of_smallest_mse: None,
     };
-    Ok(Made { reference: Reference::from_picture(&picture), info })
+    Ok(SourcedReference { reference: Reference::from_picture(&picture), info })
 }
 
 /// Directly visible emission: one frame is exact with point sampling; with a box filter it is averaged.
-pub(super) fn seen_emission(engine: &Engine) -> Result<Picture> {
-    let count = if engine.shot.filter == crate::plan::Filter::Point { 1 } else { 256 };
-    let technique = engine::technique("bsdf")?;
+fn seen_emission(session: &Session) -> Result<Picture> {
+    let count = if session.shot.filter == Filter::Point { 1 } else { 256 };
+    let technique = session::technique("bsdf")?;
     // Depth 1 renders nothing but what is seen directly.
-    let shot = crate::plan::Shot {
-        depth: 1,
-        effort: 1.0,
-        run: seed(SEED, Part::Reference, 1, 0),
-        ..engine.shot
-    };
-    let mut frames = crate::frame::FrameLoop::new(technique, &engine.stage, shot)?;
-    let mut mean = engine::Mean::new(engine.shot.size);
+    let shot =
+        Shot { depth: 1, effort: 1.0, run: seed(SEED, SeedUse::Reference, 1, 0), ..session.shot };
+    let mut frames = crate::frame::FrameLoop::new(technique, &session.stage, shot)?;
+    let mut mean = Mean::new(session.shot.size);
     for _ in 0..count {
-        mean.add(&engine::next(&mut frames)?.emission(), 1);
+        mean.add(&session.next(&mut frames)?.emission(), 1);
     }
     Ok(mean.picture())
 }

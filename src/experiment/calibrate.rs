@@ -10,7 +10,7 @@ const TRIES: usize = 10;
 const MOST: u32 = 1 << 20;
 
 /// Whether a frame of `ms` is within 5 % of `budget`.
-pub(super) fn meets(ms: f64, budget: f64) -> bool {
+pub(crate) fn meets(ms: f64, budget: f64) -> bool {
     (ms - budget).abs() <= TOLERANCE * budget
 }
 
@@ -18,7 +18,7 @@ pub(super) fn meets(ms: f64, budget: f64) -> bool {
 ///
 /// Time is close to linear in effort, so a secant through the two measurements around the budget finds it; each step is kept
 /// strictly between them, so noise cannot make it wander.
-pub(super) fn calibrate(
+pub(crate) fn calibrate(
     budget: f64,
     mut measure: impl FnMut(u32) -> Result<f64>,
 ) -> Result<(u32, f64)> {
@@ -70,7 +70,7 @@ pub(super) fn calibrate(
 }
 
 /// The median of times, and their 99th percentile; NaN of none.
-pub(super) fn median_p99(times: &[f64]) -> [f64; 2] {
+pub(crate) fn median_p99(times: &[f64]) -> [f64; 2] {
     if times.is_empty() {
         return [f64::NAN; 2];
     }
