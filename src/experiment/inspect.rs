@@ -196,10 +196,6 @@ fn candidates(receiver: &Receiver<'_>, count: u32, random: &mut Stream) -> Vec<C
 
 /// The surface in the pixel's centre, and the receiver that it is; the sky's radiance where there
 /// is none.
-#[expect(
-    clippy::type_complexity,
-    reason = "a surface or the sky, and a receiver beside the former"
-)]
 fn seen_surface(
     world: &World,
     pixel: [u32; 2],

@@ -41,7 +41,7 @@ pub struct ReferenceSettings {
 }
 
 impl Default for ReferenceSettings {
-    /// SourcedReference in at most 60 seconds, and kept in the user's cache.
+    /// A reference in at most 60 seconds, and kept in the user's cache.
     fn default() -> Self {
         Self { file: None, seconds: 60.0, cache: None }
     }

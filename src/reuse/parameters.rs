@@ -69,6 +69,9 @@ pub struct Settings {
     pub mis: Family,
     /// What becomes of the spatial result.
     pub spatial: SpatialUse,
+    /// Frames of history from which a pixel takes nothing from its neighbours, in [0, 250]; 0: every
+    /// pixel always takes.
+    pub mature: u32,
     /// Whether all inputs of the last merge are shown, not the selected one.
     pub decoupled: bool,
     /// Mutations between temporal and spatial reuse, in [0, 64].
@@ -90,6 +93,7 @@ impl Default for Settings {
             rounds: 1,
             mis: Family::DefensivePairwise,
             spatial: SpatialUse::Feedback,
+            mature: 0,
             decoupled: false,
             mutations: 0,
             boiling: 0.0,
@@ -152,6 +156,12 @@ macro_rules! reuse_rows {
                 "spatial",
                 choice spatial: $crate::reuse::SpatialUse,
                 "what becomes of the spatial result: it is kept as history, or shown only"
+            ),
+            $crate::spec::row!(
+                $technique,
+                "mature",
+                mature: 0..=250,
+                "frames of history from which a pixel takes nothing from its neighbours; 0: every pixel always takes; lower is less time and less correlation, higher is less noise after changes"
             ),
             $crate::spec::row!(
                 $technique,

@@ -173,6 +173,9 @@ pub struct RestirDi {
     pub mis: Family,
     /// What becomes of the spatial result.
     pub spatial: SpatialUse,
+    /// Frames of history from which a pixel takes nothing from its neighbours, in [0, 250]; 0: every
+    /// pixel always takes.
+    pub mature: u32,
     /// What is done with shadow rays. Visibility in the target is the default: of all policies it had the least relmse times time on
     /// `penumbra` and `many-lights:1000` (`docs/results.md`).
     pub visibility: Visibility,
@@ -212,6 +215,7 @@ impl Default for RestirDi {
             rounds: 1,
             mis: Family::DefensivePairwise,
             spatial: SpatialUse::Feedback,
+            mature: 0,
             visibility: Visibility::InTarget,
             visibility_age: REUSE_AGE,
             visibility_distance: REUSE_DISTANCE,
@@ -289,7 +293,7 @@ impl RestirDi {
     /// The parameters of the passes of reuse.
     pub(crate) fn settings(&self) -> Settings {
         let Self { cap, temporal_mis, neighbours, radius, taps, rounds, mis, spatial, .. } = *self;
-        let Self { decoupled, mutations, boiling, max_age, .. } = *self;
+        let Self { mature, decoupled, mutations, boiling, max_age, .. } = *self;
         Settings {
             cap,
             temporal_mis,
@@ -299,6 +303,7 @@ impl RestirDi {
             rounds,
             mis,
             spatial,
+            mature,
             decoupled,
             mutations,
             boiling,
@@ -407,7 +412,10 @@ impl Technique for RestirDi {
         let one_chain = plan
             .id(Keys::<Record>::RESERVOIRS)
             .is_none_or(|id| plan.buffers[id.0].bytes as usize == size_of::<Record>());
-        let known = self.taps == Taps::Random && self.spatial == SpatialUse::Feedback && one_chain;
+        let known = self.taps == Taps::Random
+            && self.spatial == SpatialUse::Feedback
+            && self.mature == 0
+            && one_chain;
         known.then(|| self.kernel_twin(kernel, plan))
     }
 
