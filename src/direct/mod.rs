@@ -23,11 +23,12 @@ mod tests;
 mod visibility;
 
 /// [`Reused`], [`Control`] and averages of visibility in WGSL; needs nothing.
-pub const VISIBILITY_WGSL: &str = include_str!("visibility.wgsl");
+pub const VISIBILITY_WGSL: Module = crate::wgsl!("visibility.wgsl");
 
 /// All of this module in WGSL; needs the scene's.
-pub(crate) const DIRECT_WGSL: &str = include_str!("direct.wgsl");
+pub(crate) const DIRECT_WGSL: Module = crate::wgsl!("direct.wgsl");
 
+use crate::twin::Module;
 pub(crate) use candidates::TILE;
 pub use candidates::{Candidates, Chosen, TileEntry, candidates, fill_tile};
 pub use control::Control;

@@ -8,13 +8,14 @@ use glam::{Vec3, Vec4};
 
 use crate::error::{Error, Result};
 use crate::gpu::{
-    CameraRecord, Gpu, Inputs, Kernel, Links, MAX_BUFFERS, ProjectionRecord, SceneBuffers,
-    SceneConstants,
+    CameraRecord, Gpu, Inputs, Kernel, Lanes, Links, MAX_BUFFERS, Origin, ProjectionRecord,
+    SceneBuffers, SceneConstants,
 };
 use crate::path::Counters;
 use crate::plan::{Domain, Elements, Filter, Kernel as PassKernel, Plan, Shot};
 use crate::scene::CameraRays;
-use crate::techniques::{Buffer, Motion, Technique, Twin};
+use crate::techniques::{Buffer, Motion, Technique};
+use crate::twin::{Module, Twin};
 use crate::world::World;
 
 /// Bytes before the timestamps in what is read back: room for all counters.
@@ -24,7 +25,7 @@ pub(super) const IN_FLIGHT: usize = 2;
 /// Alignment of what queries are written to.
 const RESOLVE: u64 = 256;
 /// The frame loop's own kernel.
-const PRIMARY_HITS: &str = include_str!("primary_hits.wgsl");
+const PRIMARY_HITS: Module = crate::wgsl!("primary_hits.wgsl");
 
 /// A scene's arenas: shared where nothing moves.
 #[derive(Debug)]
@@ -107,12 +108,7 @@ pub(super) struct FrameState<'a> {
 
 /// The twins of all passes; `None` where the technique lacks one.
 pub(crate) fn twins(technique: &dyn Technique, plan: &Plan) -> Option<Vec<Twin>> {
-    let own = || Twin {
-        entry: "primary_hits",
-        modules: vec![PRIMARY_HITS],
-        constants: Vec::new(),
-        flags: Vec::new(),
-    };
+    let own = || Twin { kernel: "primary_hits", modules: vec![PRIMARY_HITS], ..Twin::default() };
     plan.passes
         .iter()
         .map(|pass| match pass.kernel {
@@ -122,14 +118,14 @@ pub(crate) fn twins(technique: &dyn Technique, plan: &Plan) -> Option<Vec<Twin>>
         .collect()
 }
 
-/// Workgroups that cover a domain.
-fn groups(domain: Domain, size: [u32; 2]) -> [u32; 2] {
+/// What a pass's lanes own.
+pub(crate) fn lanes(domain: Domain) -> Lanes {
     match domain {
-        Domain::Pixels => size.map(|side| side.div_ceil(8)),
+        Domain::Pixels => Lanes::Pixels,
         Domain::Tiles { width, height, origin } => {
-            [(size[0] + origin[0]).div_ceil(width), (size[1] + origin[1]).div_ceil(height)]
+            Lanes::Tiles { size: [width, height], origin: Origin::Fixed(origin) }
         }
-        Domain::Items(n) => [n.div_ceil(256), 1],
+        Domain::Items(n) => Lanes::Items(n),
     }
 }
 
@@ -535,7 +531,8 @@ fn compile(
     let passes = plan.passes.iter().zip(twins);
     passes
         .map(|(pass, twin)| {
-            let groups = groups(pass.domain, shot.size);
+            let kernel = Kernel::new(twin, lanes(pass.domain), scene);
+            let groups = kernel.groups(shot.size);
             if groups[0].max(groups[1]) > most {
                 return Err(Error::gpu(format!(
                     "pass `{}` takes {} x {} workgroups, but {} runs at most {most} a dimension",
@@ -545,8 +542,6 @@ fn compile(
                     gpu.info()
                 )));
             }
-            let constants = (&twin.constants[..], &twin.flags[..]);
-            let kernel = Kernel::new(twin.entry, &twin.modules, constants, scene);
             Ok(Ready { pipeline: gpu.pipeline(&kernel)?, groups })
         })
         .collect()

@@ -307,10 +307,10 @@ impl Technique for Brighter {
     fn run(&self, kernel: u32, inputs: &FrameInputs<'_>, band: &mut Band<'_>) -> Counters {
         self.0.run(kernel, inputs, band)
     }
-    fn twin(&self, kernel: u32, plan: &Plan) -> Option<crate::techniques::Twin> {
+    fn twin(&self, kernel: u32, plan: &Plan) -> Option<crate::twin::Twin> {
         let mut twin = self.0.twin(kernel, plan)?;
-        let text = twin.modules[0].replace("sum * mean", "sum * mean * 1.01");
-        twin.modules[0] = Box::leak(text.into_boxed_str());
+        let text = twin.modules[0].text.replace("sum * mean", "sum * mean * 1.01");
+        twin.modules[0].text = Box::leak(text.into_boxed_str());
         Some(twin)
     }
 }

@@ -4,11 +4,15 @@
 //! |---|---|
 //! | `upload` | a world as words: what lies where |
 //! | `shader` | which WGSL modules make a kernel |
+//! | `compose` | modules as one text: what is left out, where errors are |
+//! | `entry` | entry points and workgroups, by what a kernel runs over |
 //! | `scene.wgsl` | the arenas from the other side: bindings, words, textures |
 //!
 //! WGSL stands beside the Rust that it is the twin of, with the same names in the same order (`math/rng.wgsl`, `accel/accel.wgsl`, …). What
 //! needs nothing of this crate's scene is public ([`wgsl`]), for hosts with pipelines of their own.
 
+mod compose;
+mod entry;
 mod shader;
 #[cfg(test)]
 pub(crate) mod tests;
@@ -18,9 +22,13 @@ use std::collections::HashMap;
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
+pub(crate) use entry::{Lanes, Origin};
 pub use shader::wgsl;
 pub(crate) use shader::{Kernel, SceneConstants};
 pub(crate) use upload::{CameraRecord, Inputs, Links, MAX_BUFFERS, ProjectionRecord, SceneBuffers};
+
+use compose::Composed;
+use entry::ENTRY;
 
 use crate::error::{Error, Result};
 use crate::world::World;
@@ -292,31 +300,53 @@ impl Gpu {
 
     /// The pipeline of a kernel, compiled once a device.
     pub(crate) fn pipeline(&self, kernel: &Kernel) -> Result<wgpu::ComputePipeline> {
-        let source = kernel.source()?;
-        let key = kernel.key(&source);
+        let composed = kernel.compose()?;
+        let key = kernel.key(&composed.text);
         if let Some(pipeline) = locked(&self.pipelines).get(&key) {
             return Ok(pipeline.clone());
         }
-        let what = format!("kernel `{}`", kernel.entry);
-        let pipeline = self.guarded(&what, || {
+        let pipeline = self.compile(kernel.name, &composed, &kernel.constants)?;
+        locked(&self.pipelines).insert(key, pipeline.clone());
+        Ok(pipeline)
+    }
+
+    /// A pipeline of a text. Errors of the text name the module's file and line.
+    fn compile(
+        &self,
+        name: &str,
+        composed: &Composed,
+        constants: &[(&str, f64)],
+    ) -> Result<wgpu::ComputePipeline> {
+        let what = format!("kernel `{name}`");
+        let mut said = Vec::new();
+        let module = self.guarded(&what, || {
             let module = self.device.create_shader_module(wgpu::ShaderModuleDescriptor {
-                label: Some(kernel.entry),
-                source: wgpu::ShaderSource::Wgsl(source.into()),
+                label: Some(name),
+                source: wgpu::ShaderSource::Wgsl(composed.text.as_str().into()),
             });
+            said = pollster::block_on(module.get_compilation_info()).messages;
+            module
+        });
+        let module = module.map_err(|error| {
+            let placed = said.iter().find_map(|message| {
+                let line = message.location?.line_number as usize;
+                Some(composed.explain(line, &message.message))
+            });
+            placed.map_or(error, |text| Error::gpu(format!("{what}: {text}")))
+        })?;
+        self.guarded(&what, || {
             self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-                label: Some(kernel.entry),
+                label: Some(name),
                 layout: Some(&self.pipeline_layout),
                 module: &module,
-                entry_point: Some(kernel.entry),
+                entry_point: Some(ENTRY),
                 compilation_options: wgpu::PipelineCompilationOptions {
-                    constants: &kernel.constants,
+                    constants,
                     ..wgpu::PipelineCompilationOptions::default()
                 },
                 cache: None,
             })
-        })?;
-        locked(&self.pipelines).insert(key, pipeline.clone());
-        Ok(pipeline)
+        })
     }
 
     /// Number of pipelines compiled so far.

@@ -16,6 +16,7 @@ pub use restir_di::{LightTiles, MAX_NEIGHBOURS, RestirDi};
 use crate::error::{Error, Result, suggest};
 use crate::path::Counters;
 use crate::plan::{Plan, SceneFacts, Shot};
+pub use crate::twin::Twin;
 
 /// A rendering method.
 ///
@@ -38,19 +39,6 @@ pub trait Technique: fmt::Debug + Send + Sync {
     fn twin(&self, _kernel: u32, _plan: &Plan) -> Option<Twin> {
         None
     }
-}
-
-/// A kernel in WGSL: plain data.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Twin {
-    /// The entry point, with workgroups of 8 × 8 over pixels, of 256 over items, of a tile over tiles.
-    pub entry: &'static str,
-    /// What it is made of, beside the modules that all kernels share.
-    pub modules: Vec<&'static str>,
-    /// Values of its pipeline-overridable constants; truths are 0 and 1. `//#if` may ask for them.
-    pub constants: Vec<(&'static str, f64)>,
-    /// What else `//#if` may ask for.
-    pub flags: Vec<(&'static str, f64)>,
 }
 
 /// A line of the [`REGISTRY`].

@@ -117,27 +117,17 @@ fn is_usable(outcome: Reused) -> bool {
 }
 
 //#if KERNEL_TILES
-@compute @workgroup_size(256)
-fn light_tiles(@builtin(global_invocation_id) id: vec3<u32>) {
-    if id.x >= LIGHT_TILES * TILE {
-        return;
-    }
-    var random = stream_of(id.x, PURPOSE_LIGHT_TILE, 1u);
+fn light_tiles(item: u32) {
+    var random = stream_of(item, PURPOSE_LIGHT_TILE, 1u);
     let a = stream_word(&random);
     let b = stream_word(&random);
     let c = stream_word(&random);
-    fill_tile(id.x, vec4<u32>(a, b, c, stream_word(&random)));
-    finish_counting();
+    fill_tile(item, vec4<u32>(a, b, c, stream_word(&random)));
 }
 //#endif
 
 //#if KERNEL_RIS
-@compute @workgroup_size(8, 8)
-fn ris(@builtin(global_invocation_id) id: vec3<u32>) {
-    if id.x >= inputs.size.x || id.y >= inputs.size.y {
-        return;
-    }
-    let pixel = id.y * inputs.size.x + id.x;
+fn ris(pixel: u32, x: u32, y: u32) {
     var sum = vec3f(0.0);
     if primary_hit(pixel).primitive != MISS {
         let receiver = receiver_of(pixel);
@@ -146,7 +136,7 @@ fn ris(@builtin(global_invocation_id) id: vec3<u32>) {
             let each = CANDIDATE_LIGHTS + CANDIDATE_BSDF;
             for (var estimate = 0u; estimate < inputs.effort; estimate++) {
                 var random = stream_of(pixel, PURPOSE_SELECTION, estimate);
-                let chosen = candidates(receiver, seeds, estimate * each, 1u, tile_of(id.x, id.y), &random);
+                let chosen = candidates(receiver, seeds, estimate * each, 1u, tile_of(x, y), &random);
                 if !chosen.valid {
                     count(SHADOW_RAYS_SAVED, 1u);
                     continue;
@@ -159,17 +149,11 @@ fn ris(@builtin(global_invocation_id) id: vec3<u32>) {
         }
     }
     write_vector(buffer_now(RADIANCE) + pixel * 3u, sum / f32(inputs.effort));
-    finish_counting();
 }
 //#endif
 
 //#if KERNEL_INITIAL
-@compute @workgroup_size(8, 8)
-fn initial(@builtin(global_invocation_id) id: vec3<u32>) {
-    if id.x >= inputs.size.x || id.y >= inputs.size.y {
-        return;
-    }
-    let pixel = id.y * inputs.size.x + id.x;
+fn initial(pixel: u32, x: u32, y: u32) {
     var record = record_empty(0u);
     record.point.light = 0u;
     var control = vec2<u32>(0u);
@@ -181,7 +165,7 @@ fn initial(@builtin(global_invocation_id) id: vec3<u32>) {
         }
         if receiver_scatters(receiver) {
             var random = stream_of(pixel, PURPOSE_SELECTION, 0u);
-            let chosen = candidates(receiver, pixel_seeds(pixel), 0u, inputs.effort, tile_of(id.x, id.y), &random);
+            let chosen = candidates(receiver, pixel_seeds(pixel), 0u, inputs.effort, tile_of(x, y), &random);
             var target_luminance = 0.0;
             var weight = 0.0;
             if chosen.valid {
@@ -214,7 +198,6 @@ fn initial(@builtin(global_invocation_id) id: vec3<u32>) {
     if KEEP_NORMALS {
         state[buffer_now(B_NORMALS) + pixel] = normal;
     }
-    finish_counting();
 }
 //#endif
 
@@ -418,13 +401,8 @@ fn inherited(source: u32, r: Reservoir) -> vec2<u32> {
 //#endif
 
 //#if KERNEL_TEMPORAL
-@compute @workgroup_size(8, 8)
-fn temporal(@builtin(global_invocation_id) id: vec3<u32>) {
-    if id.x >= inputs.size.x || id.y >= inputs.size.y {
-        return;
-    }
-    merge_history(id.y * inputs.size.x + id.x, id.x, id.y);
-    finish_counting();
+fn temporal(pixel: u32, x: u32, y: u32) {
+    merge_history(pixel, x, y);
 }
 
 fn merge_history(pixel: u32, x: u32, y: u32) {
@@ -545,13 +523,10 @@ fn reproject(hit: Hit, pixel: u32, x: u32, y: u32) -> u32 {
 
 //#if KERNEL_BOILING
 // A workgroup is a tile of the boiling filter.
-var<workgroup> tile_sum: array<f32, 256>;
-var<workgroup> tile_count: array<u32, 256>;
+var<workgroup> tile_sum: array<f32, TILE_LANES>;
+var<workgroup> tile_count: array<u32, TILE_LANES>;
 
-@compute @workgroup_size(16, 16)
-fn boiling(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
-    let inside = id.x < inputs.size.x && id.y < inputs.size.y;
-    let pixel = id.y * inputs.size.x + id.x;
+fn boiling(pixel: u32, x: u32, y: u32, lane: u32, inside: bool) {
     var record = record_empty(0u);
     if inside {
         record = read_record(buffer_now(B_RESERVOIRS), pixel);
@@ -560,10 +535,12 @@ fn boiling(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocati
     tile_sum[lane] = shown;
     tile_count[lane] = select(0u, 1u, shown > 0.0);
     workgroupBarrier();
-    for (var step = 128u; step > 0u; step /= 2u) {
-        if lane < step {
-            tile_sum[lane] += tile_sum[lane + step];
-            tile_count[lane] += tile_count[lane + step];
+    // Halves of the lanes, the lower one no smaller, so that any number of lanes is summed.
+    for (var left = TILE_LANES; left > 1u; left = (left + 1u) / 2u) {
+        let half = (left + 1u) / 2u;
+        if lane + half < left {
+            tile_sum[lane] += tile_sum[lane + half];
+            tile_count[lane] += tile_count[lane + half];
         }
         workgroupBarrier();
     }
@@ -575,17 +552,11 @@ fn boiling(@builtin(global_invocation_id) id: vec3<u32>, @builtin(local_invocati
 //#endif
 
 //#if KERNEL_MUTATE
-@compute @workgroup_size(8, 8)
-fn mutate(@builtin(global_invocation_id) id: vec3<u32>) {
-    if id.x >= inputs.size.x || id.y >= inputs.size.y {
-        return;
-    }
-    let pixel = id.y * inputs.size.x + id.x;
+fn mutate(pixel: u32, x: u32, y: u32) {
     let record = read_record(buffer_now(B_RESERVOIRS), pixel);
     if primary_hit(pixel).primitive != MISS && record.weight > 0.0 {
         run_chain(pixel, record);
     }
-    finish_counting();
 }
 
 fn run_chain(pixel: u32, record: Record) {
@@ -657,15 +628,10 @@ fn run_chain(pixel: u32, record: Record) {
 //#endif
 
 //#if KERNEL_SPATIAL
-@compute @workgroup_size(8, 8)
-fn spatial(@builtin(global_invocation_id) id: vec3<u32>) {
-    if id.x >= inputs.size.x || id.y >= inputs.size.y {
-        return;
-    }
-    let pixel = id.y * inputs.size.x + id.x;
+fn spatial(pixel: u32, x: u32, y: u32) {
     records[0] = read_record(buffer_now(B_FROM), pixel);
     if primary_hit(pixel).primitive != MISS && record_confidence(records[0]) > 0.0 {
-        merge_neighbours(pixel, id.x, id.y);
+        merge_neighbours(pixel, x, y);
     } else {
         var empty = record_empty(0u);
         empty.point.light = 0u;
@@ -677,7 +643,6 @@ fn spatial(@builtin(global_invocation_id) id: vec3<u32>) {
             write_vector(buffer_now(RADIANCE) + pixel * 3u, vec3f(0.0));
         }
     }
-    finish_counting();
 }
 
 fn merge_neighbours(pixel: u32, x: u32, y: u32) {
@@ -821,12 +786,7 @@ fn shade(sample: LightPoint, weight: f32, known: bool, integrand: vec3f, kept: u
 //#endif
 
 //#if KERNEL_SHADE
-@compute @workgroup_size(8, 8)
-fn shade_only(@builtin(global_invocation_id) id: vec3<u32>) {
-    if id.x >= inputs.size.x || id.y >= inputs.size.y {
-        return;
-    }
-    let pixel = id.y * inputs.size.x + id.x;
+fn shade_only(pixel: u32, x: u32, y: u32) {
     let record = read_record(buffer_now(B_RESERVOIRS), pixel);
     var shown = vec3f(0.0);
     if primary_hit(pixel).primitive != MISS && record_confidence(record) > 0.0 {
@@ -842,20 +802,14 @@ fn shade_only(@builtin(global_invocation_id) id: vec3<u32>) {
         //#endif
     }
     write_vector(buffer_now(RADIANCE) + pixel * 3u, finite_or_counted(shown));
-    finish_counting();
 }
 //#endif
 
-@compute @workgroup_size(8, 8)
-fn other_paths(@builtin(global_invocation_id) id: vec3<u32>) {
-    if id.x >= inputs.size.x || id.y >= inputs.size.y {
-        return;
-    }
-    let pixel = id.y * inputs.size.x + id.x;
+fn other_paths(pixel: u32, x: u32, y: u32) {
     let hit = primary_hit(pixel);
     var sum = vec3f(0.0);
     if hit.primitive != MISS {
-        let direction = primary_direction(id.x, id.y);
+        let direction = primary_direction(x, y);
         for (var sample = 0u; sample < inputs.effort; sample++) {
             let number = select(OTHER_PATHS + sample, sample, ALL_LIGHT);
             let seed = path_seed(inputs.run, pixel, inputs.frame, number);
@@ -869,5 +823,4 @@ fn other_paths(@builtin(global_invocation_id) id: vec3<u32>) {
     } else {
         write_vector(at, read_vector(at) + mean);
     }
-    finish_counting();
 }

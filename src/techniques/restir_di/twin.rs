@@ -45,7 +45,7 @@ impl RestirDi {
             let place = Family::ALL.iter().position(|f| *f == family);
             place.unwrap_or(0) as f64
         };
-        let entry = match kernel {
+        let kernel_name = match kernel {
             kernel::RIS => "ris",
             kernel::TILES => "light_tiles",
             kernel::INITIAL => "initial",
@@ -124,7 +124,7 @@ impl RestirDi {
         if temporal || spatial {
             modules.push(MERGE_WGSL);
         }
-        modules.push(include_str!("restir_di.wgsl"));
-        Twin { entry, modules, constants, flags }
+        modules.push(crate::wgsl!("restir_di.wgsl"));
+        Twin { kernel: kernel_name, modules, constants, flags, ..Twin::default() }
     }
 }
