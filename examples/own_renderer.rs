@@ -10,7 +10,7 @@
 
 use afterimage::math::rng::{RandomSource, Stream};
 use afterimage::resampling::{
-    Counting, Family, Finished, Identity, Input, Plain, Reservoir, spatial, temporal,
+    Counting, Family, Finished, Identity, Input, Plain, Reservoir, merge, merge_history,
 };
 
 const WIDTH: usize = 48;
@@ -94,7 +94,7 @@ fn render(lamps: &[Lamp], truth: &[f32], reuse: bool, run: u64) -> (f64, f64) {
         if reuse {
             for at in 0..WIDTH {
                 if frame > 0 {
-                    let merged = temporal(
+                    let merged = merge_history(
                         &mut map,
                         (Family::Balance, 20.0),
                         &input(&fresh[at], at),
@@ -114,7 +114,7 @@ fn render(lamps: &[Lamp], truth: &[f32], reuse: bool, run: u64) -> (f64, f64) {
                     .filter(|&other| other < WIDTH)
                     .map(|other| input(&after_temporal[other], other))
                     .collect();
-                let merged = spatial(
+                let merged = merge(
                     &mut map,
                     Family::DefensivePairwise,
                     &input(&after_temporal[at], at),

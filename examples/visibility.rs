@@ -19,13 +19,13 @@ use std::path::Path;
 use std::sync::Arc;
 
 use afterimage::accel::{AcceptAll, HitFilter, Ray};
-use afterimage::direct::{Candidates, Receiver, Time, candidates};
+use afterimage::counters::Counters;
 use afterimage::frame::{FrameLoop, Stage};
 use afterimage::math::luminance;
 use afterimage::math::rng::{PathSeeds, Stream};
 use afterimage::metrics::{Comparison, Picture};
-use afterimage::path::Counters;
 use afterimage::plan::{Filter, Shot};
+use afterimage::reuse::light_points::{Candidates, Receiver, Time, candidates};
 use afterimage::scene::load::load;
 use afterimage::stats::{Moments, t_test};
 use afterimage::world::World;
@@ -72,7 +72,7 @@ fn lit(
     let receiver = Receiver::new(world, hit, ray.direction, Time::Now);
     let bsdf = &receiver.surface().0.bsdf;
     let delta = (0..bsdf.lobe_count()).any(|lobe| bsdf.is_delta(lobe));
-    let sources = Candidates { lights: 1, bsdf: 0, rounds: 1, tile: None, surfaces: false };
+    let sources = Candidates { lights: 1, bsdf: 0, tile: None, surfaces: false };
     let seeds = PathSeeds::new(u64::MAX, pixel, 0);
     let mut selection = Stream::from_key(u64::from(pixel));
     let mut counters = Counters::default();

@@ -71,7 +71,7 @@
 pub mod accel;
 #[cfg(feature = "cli")]
 pub mod cli;
-pub mod direct;
+pub mod counters;
 pub mod error;
 pub mod frame;
 #[cfg(feature = "gpu")]
@@ -79,13 +79,16 @@ pub mod gpu;
 pub mod light;
 pub mod math;
 pub mod metrics;
+pub mod pass;
 pub mod path;
 pub mod picture;
 pub mod plan;
 #[cfg(feature = "cli")]
 pub mod report;
 pub mod resampling;
+pub mod reuse;
 pub mod scene;
+pub mod spec;
 pub mod stats;
 pub mod surface;
 pub mod techniques;

@@ -23,9 +23,9 @@ use super::progress::Progress;
 use super::reference::Made;
 use super::seeds::{Part, seed};
 use super::{Status, bias, figures, machine, note, print, reference};
+use crate::counters::Counters;
 use crate::frame::{FrameLoop, Guides};
 use crate::metrics;
-use crate::path::Counters;
 use crate::picture::Picture;
 use crate::report::{
     Budget, BudgetKind, Claim, Curve, CurvePoint, ErrorSpectrum, Figure, FrameTime, PassTime,

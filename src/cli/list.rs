@@ -56,9 +56,9 @@ fn adapters() -> String {
 
 /// A technique with its parameters.
 fn technique(entry: &techniques::Entry) -> String {
-    let parameters = entry.parameters.iter().map(|p| {
+    let parameters = (entry.parameters)().into_iter().map(|p| {
         let default = if p.default.is_empty() { String::new() } else { format!("={}", p.default) };
-        (format!("  {}{default}", p.key), p.about.to_string())
+        (format!("  {}{default}", p.key), format!("{}; {}", p.about, p.allowed))
     });
     format!("{}: {}\n{}", entry.name, entry.about, table(parameters))
 }

@@ -11,8 +11,8 @@ use super::engine::{self, Engine};
 use super::progress::Progress;
 use super::{Status, print};
 use crate::Result;
-use crate::path::Counters;
-use crate::plan::{Domain, Elements, Plan, Runs, SceneFacts};
+use crate::counters::Counters;
+use crate::plan::{Domain, Elements, Grid, Plan, Runs, SceneFacts};
 use crate::report::{align, figure};
 use crate::techniques::Technique;
 
@@ -116,8 +116,11 @@ fn to_json(plan: &Plan, facts: &SceneFacts, pixels: usize) -> Value {
         .map(|pass| {
             let domain = match pass.domain {
                 Domain::Pixels => json!("pixels"),
-                Domain::Tiles { width, height, origin } => {
+                Domain::Tiles { width, height, grid: Grid::Fixed(origin) } => {
                     json!({ "tiles": [width, height], "origin": origin })
+                }
+                Domain::Tiles { width, height, grid: Grid::PerFrame(_) } => {
+                    json!({ "tiles": [width, height], "origin": "another in each frame" })
                 }
                 Domain::Items(n) => json!({ "items": n }),
             };
@@ -145,7 +148,7 @@ fn to_json(plan: &Plan, facts: &SceneFacts, pixels: usize) -> Value {
         plan.skipped.iter().map(|s| json!({ "what": s.what, "because": s.because })).collect();
     let rays: serde_json::Map<String, Value> = Plan::RAY_KINDS
         .iter()
-        .zip(plan.rays_per_pixel)
+        .zip(plan.rays_per_pixel())
         .map(|(kind, most)| ((*kind).to_string(), most.into()))
         .collect();
     let constants: serde_json::Map<String, Value> =

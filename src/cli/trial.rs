@@ -499,8 +499,8 @@ pub(super) fn place(part: &Part) -> String {
 mod tests {
     use super::super::motion::{self, Motion};
     use super::*;
+    use crate::pass::{Band, FrameInputs};
     use crate::plan::Shot;
-    use crate::techniques::{Band, FrameInputs};
     use glam::Vec3;
 
     const SIZE: [u32; 2] = [16, 16];
@@ -608,6 +608,10 @@ mod tests {
             "late".to_string()
         }
 
+        fn validate(&self) -> Result<()> {
+            Ok(())
+        }
+
         fn plan(&self, facts: &crate::plan::SceneFacts, shot: &Shot) -> Plan {
             self.0.plan(facts, shot)
         }
@@ -617,7 +621,7 @@ mod tests {
             kernel: u32,
             inputs: &FrameInputs<'_>,
             band: &mut Band<'_>,
-        ) -> crate::path::Counters {
+        ) -> crate::counters::Counters {
             let world = inputs.previous.unwrap_or(inputs.world);
             self.0.run(kernel, &FrameInputs { world, ..*inputs }, band)
         }

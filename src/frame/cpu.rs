@@ -2,9 +2,9 @@
 
 use std::ops::Range;
 
-use crate::path::Counters;
-use crate::plan::{Domain, Pass, Plan};
-use crate::techniques::{Band, Buffer, MAX_WRITES};
+use crate::counters::Counters;
+use crate::pass::{Band, Buffer, MAX_WRITES, TileGrid};
+use crate::plan::{Domain, Pass, Plan, Shot};
 
 /// Rows of a task over single pixels: small enough to balance, large enough that rays of one task stay near each other.
 const ROWS_A_TASK: u32 = 4;
@@ -17,20 +17,20 @@ const ITEMS_A_TASK: u32 = 64;
 pub(super) fn run_pass(
     pass: &Pass,
     plan: &Plan,
-    size: [u32; 2],
+    (shot, frame): (&Shot, u32),
     buffers: &mut [Buffer],
     kernel: impl Fn(&[Buffer], &mut Band<'_>) -> Counters + Sync,
 ) -> Counters {
+    let [width, height] = shot.size;
     let grid = match pass.domain {
-        Domain::Pixels => {
-            Grid { first: ROWS_A_TASK, step: ROWS_A_TASK, end: size[1], width: size[0] }
-        }
-        Domain::Tiles { height, origin, .. } => {
-            let step = height.max(1);
-            Grid { first: step - origin[1] % step, step, end: size[1], width: size[0] }
+        Domain::Pixels => Grid { first: ROWS_A_TASK, step: ROWS_A_TASK, end: height, width },
+        Domain::Tiles { height: step, .. } => {
+            let origin = tiles(pass.domain, shot, frame).map_or(0, |tiles| tiles.origin[1]);
+            Grid { first: step - origin, step, end: height, width }
         }
         Domain::Items(n) => Grid { first: ITEMS_A_TASK, step: ITEMS_A_TASK, end: n, width: 1 },
     };
+    let tiles = tiles(pass.domain, shot, frame);
     let mut owned: [Vec<u32>; MAX_WRITES] = Default::default();
     let mut stride = [0; MAX_WRITES];
     for (slot, id) in pass.writes.iter().enumerate() {
@@ -38,13 +38,26 @@ pub(super) fn run_pass(
         stride[slot] = (plan.buffers[id.0].bytes / 4) as usize * grid.width as usize;
     }
     let readable: &[Buffer] = buffers;
-    let run = |mut band: Band<'_>| kernel(readable, &mut band);
+    let run = |rows: Range<u32>, slots: [&mut [u32]; MAX_WRITES]| {
+        let mut band = Band::new(rows, grid.width, &pass.writes, slots);
+        if let Some(tiles) = tiles {
+            band = band.with_tiles(tiles);
+        }
+        kernel(readable, &mut band)
+    };
     let counters =
         grid.run(0..grid.tasks(), owned.each_mut().map(Vec::as_mut_slice), &stride, &run);
     for (slot, id) in pass.writes.iter().enumerate() {
         buffers[id.0].current = std::mem::take(&mut owned[slot]);
     }
     counters
+}
+
+/// The grid of a pass over tiles in a frame.
+fn tiles(domain: Domain, shot: &Shot, frame: u32) -> Option<TileGrid> {
+    let Domain::Tiles { width, height, grid } = domain else { return None };
+    let size = [width, height];
+    Some(TileGrid { size, origin: grid.origin(size, shot.run, frame) })
 }
 
 /// Rows cut at `first`, `first + step`, …, `end`.
@@ -70,17 +83,13 @@ impl Grid {
         tasks: Range<u32>,
         slices: [&mut [u32]; MAX_WRITES],
         stride: &[usize; MAX_WRITES],
-        kernel: &(impl Fn(Band<'_>) -> Counters + Sync),
+        kernel: &(impl Fn(Range<u32>, [&mut [u32]; MAX_WRITES]) -> Counters + Sync),
     ) -> Counters {
         if tasks.is_empty() {
             return Counters::default();
         }
         if tasks.len() == 1 {
-            return kernel(Band::new(
-                self.row(tasks.start)..self.row(tasks.end),
-                self.width,
-                slices,
-            ));
+            return kernel(self.row(tasks.start)..self.row(tasks.end), slices);
         }
         let middle = tasks.start + tasks.len() as u32 / 2;
         let rows = (self.row(middle) - self.row(tasks.start)) as usize;
@@ -103,7 +112,8 @@ impl Grid {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plan::{BufferPlan, Claim, Elements, Kernel};
+    use crate::math::rng::Purpose;
+    use crate::plan::{BufferId, BufferPlan, Claim, Elements, Filter, Grid, Kernel};
 
     fn plan(elements: Elements) -> Plan {
         let buffer = |bytes| BufferPlan { name: "x", bytes, elements, history: false };
@@ -112,21 +122,65 @@ mod tests {
             passes: Vec::new(),
             buffers: vec![buffer(4), buffer(12)],
             skipped: Vec::new(),
-            rays_per_pixel: [0; 4],
             constants: Vec::new(),
+            still: false,
             emitters: false,
             claim: Claim::Unbiased,
         }
     }
 
+    fn shot(size: [u32; 2]) -> Shot {
+        Shot { size, depth: 2, filter: Filter::Point, run: 3, effort: 1, fps: 30 }
+    }
+
+    /// Over many frames: each pixel is in one tile, all of whose pixels are in one band, and grids
+    /// begin everywhere.
+    #[test]
+    fn tiles_cover_the_picture_once_wherever_their_grid_begins() {
+        for size in [[1, 1], [7, 3], [17, 23]] {
+            let mut origins = std::collections::HashSet::new();
+            for frame in 0..64 {
+                let grid = Grid::PerFrame(Purpose::TileMask);
+                origins.insert(grid.origin([5, 3], 3, frame));
+                let pass = Pass {
+                    name: "count",
+                    kernel: Kernel::Technique(0),
+                    domain: Domain::Tiles { width: 5, height: 3, grid },
+                    writes: vec![BufferId(0)],
+                    runs: crate::plan::Runs::Always,
+                    rays: [0; 4],
+                };
+                let n = (size[0] * size[1]) as usize;
+                let mut buffers =
+                    vec![Buffer { current: vec![0; n], ..Buffer::default() }, Buffer::default()];
+                let shot = shot(size);
+                let at = (&shot, frame);
+                run_pass(&pass, &plan(Elements::Pixels), at, &mut buffers, |_, band| {
+                    let tiles = band.tiles(size);
+                    let local = |pixel| band.local(pixel);
+                    let places: Vec<Vec<usize>> = tiles
+                        .map(|tile| {
+                            assert_eq!(tile.lanes(), 15);
+                            (0..15).filter_map(|lane| tile.pixel(lane)).map(local).collect()
+                        })
+                        .collect();
+                    let own: &mut [u32] = band.take(BufferId(0));
+                    places.into_iter().flatten().for_each(|place| own[place] += 1);
+                    Counters::default()
+                });
+                assert!(buffers[0].current.iter().all(|count| *count == 1), "{size:?}");
+            }
+            assert_eq!(origins.len(), 15, "each of the 15 origins comes up in 64 frames");
+        }
+    }
+
     #[test]
     fn every_element_is_owned_exactly_once_in_every_domain() {
-        use crate::plan::BufferId;
         for size in [[1, 1], [1, 9], [9, 1], [17, 23], [64, 64]] {
             for domain in [
                 Domain::Pixels,
-                Domain::Tiles { width: 8, height: 8, origin: [0, 0] },
-                Domain::Tiles { width: 8, height: 8, origin: [3, 5] },
+                Domain::Tiles { width: 8, height: 8, grid: Grid::Fixed([0, 0]) },
+                Domain::Tiles { width: 8, height: 8, grid: Grid::Fixed([3, 5]) },
                 Domain::Items(size[0] * size[1]),
             ] {
                 let n = (size[0] * size[1]) as usize;
@@ -145,19 +199,21 @@ mod tests {
                     domain,
                     writes: vec![BufferId(0), BufferId(1)],
                     runs: crate::plan::Runs::Always,
+                    rays: [0; 4],
                 };
-                let counters = run_pass(&pass, &plan(elements), size, &mut buffers, |_, band| {
-                    let first = band.range.start * band.width;
-                    let length = (band.range.end - band.range.start) * band.width;
-                    let one: &mut [u32] = band.take(0);
-                    let three: &mut [[u32; 3]] = band.take(1);
-                    assert_eq!((one.len(), three.len()), (length as usize, length as usize));
-                    for (i, (a, b)) in one.iter_mut().zip(three).enumerate() {
-                        *a += first + i as u32;
-                        *b = [*a, 1, 1];
-                    }
-                    Counters { paths: u64::from(length), ..Counters::default() }
-                });
+                let counters =
+                    run_pass(&pass, &plan(elements), (&shot(size), 0), &mut buffers, |_, band| {
+                        let first = band.range.start * band.width;
+                        let length = (band.range.end - band.range.start) * band.width;
+                        let one: &mut [u32] = band.take(BufferId(0));
+                        let three: &mut [[u32; 3]] = band.take(BufferId(1));
+                        assert_eq!((one.len(), three.len()), (length as usize, length as usize));
+                        for (i, (a, b)) in one.iter_mut().zip(three).enumerate() {
+                            *a += first + i as u32;
+                            *b = [*a, 1, 1];
+                        }
+                        Counters { paths: u64::from(length), ..Counters::default() }
+                    });
                 assert_eq!(counters.paths, n as u64, "{size:?} {domain:?}");
                 assert!(buffers[0].current.iter().enumerate().all(|(i, v)| *v == i as u32));
                 assert!(

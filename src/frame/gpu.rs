@@ -6,16 +6,18 @@ use std::time::{Duration, Instant};
 
 use glam::{Vec3, Vec4};
 
+use crate::counters::Counters;
 use crate::error::{Error, Result};
 use crate::gpu::{
     CameraRecord, Gpu, Inputs, Kernel, Lanes, Links, MAX_BUFFERS, Origin, ProjectionRecord,
     SceneBuffers, SceneConstants,
 };
-use crate::path::Counters;
-use crate::plan::{Domain, Elements, Filter, Kernel as PassKernel, Plan, Shot};
+use crate::pass::Buffer;
+use crate::plan::{Domain, Elements, Filter, Grid, Kernel as PassKernel, Plan, Shot};
 use crate::scene::CameraRays;
-use crate::techniques::{Buffer, Motion, Technique};
+use crate::techniques::Technique;
 use crate::twin::{Module, Twin};
+use crate::world::Motion;
 use crate::world::World;
 
 /// Bytes before the timestamps in what is read back: room for all counters.
@@ -122,8 +124,12 @@ pub(crate) fn twins(technique: &dyn Technique, plan: &Plan) -> Option<Vec<Twin>>
 pub(crate) fn lanes(domain: Domain) -> Lanes {
     match domain {
         Domain::Pixels => Lanes::Pixels,
-        Domain::Tiles { width, height, origin } => {
-            Lanes::Tiles { size: [width, height], origin: Origin::Fixed(origin) }
+        Domain::Tiles { width, height, grid } => {
+            let origin = match grid {
+                Grid::Fixed([x, y]) => Origin::Fixed([x % width, y % height]),
+                Grid::PerFrame(purpose) => Origin::PerFrame(purpose),
+            };
+            Lanes::Tiles { size: [width, height], origin }
         }
         Domain::Items(n) => Lanes::Items(n),
     }
@@ -288,7 +294,9 @@ impl Runner {
             let motion = frame.motion;
             let links = Links {
                 lights: motion.and_then(|m| m.lights.as_ref()).map(|remap| remap.tables()),
-                instances: motion.and_then(|m| m.instances.as_deref()),
+                instances: motion
+                    .and_then(|m| m.instances.as_ref())
+                    .map(|remap| remap.previous_places()),
             };
             if frame.index == 0 {
                 // A host's first scene is not the stage's.

@@ -114,7 +114,7 @@ fn same_element(name: &str, a: &[u32], b: &[u32]) -> bool {
         }),
         // Signed sums, whose terms may cancel: with 10⁻³ instead, 3 of 3,072 differ.
         "controls" | "history controls" => {
-            let words = |w: &[u32]| -> crate::direct::Control { bytemuck::cast([w[0], w[1]]) };
+            let words = |w: &[u32]| -> crate::reuse::Control { bytemuck::cast([w[0], w[1]]) };
             let (a, b) = (words(a), words(b));
             let scale = a.estimate().abs().max_element().max(b.estimate().abs().max_element());
             a.visible() == b.visible()
@@ -190,7 +190,7 @@ fn every_pass_gives_the_same_from_the_same_bytes() {
         "restir-di:mis=inverse-count,temporal-mis=contribution",
         "restir-di:mis=contribution,neighbours=3,temporal-mis=inverse-count",
         "restir-di:mis=pairwise,decoupled=true,visibility=reuse",
-        "restir-di:preset=interactive,decoupled=true",
+        "restir-di:visibility=reuse,boiling=0.2,max-age=60,decoupled=true",
     ] {
         passes_agree(&gpu, &still, spec, shot([64, 48], 3));
     }
@@ -301,6 +301,10 @@ impl Technique for Brighter {
     fn spec(&self) -> String {
         "brighter".into()
     }
+    fn validate(&self) -> Result<()> {
+        Ok(())
+    }
+
     fn plan(&self, facts: &SceneFacts, shot: &Shot) -> Plan {
         self.0.plan(facts, shot)
     }
@@ -324,6 +328,10 @@ fn a_technique_without_a_twin_runs_on_the_cpu() {
         fn spec(&self) -> String {
             "plain".into()
         }
+        fn validate(&self) -> Result<()> {
+            Ok(())
+        }
+
         fn plan(&self, facts: &SceneFacts, shot: &Shot) -> Plan {
             self.0.plan(facts, shot)
         }

@@ -4,7 +4,7 @@ use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
 use crate::accel::Ray;
-use crate::techniques::Motion;
+use crate::world::Motion;
 use crate::world::World;
 
 /// Layers through pixel centres, row by row.

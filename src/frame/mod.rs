@@ -22,12 +22,15 @@ use glam::Vec3;
 pub use guides::Guides;
 
 use crate::accel::{BuildOptions, HitFilter, Ray};
+use crate::counters::Counters;
 use crate::error::{Error, Result};
-use crate::path::{Counters, emitted};
+use crate::pass::{Band, Buffer, FrameInputs, PrimaryHit};
+use crate::path::emitted;
 use crate::picture::Picture;
 use crate::plan::{BufferId, Elements, Kernel, Plan, Runs, SceneFacts, Shot};
 use crate::scene::{CameraRays, Scene};
-use crate::techniques::{Band, Buffer, FrameInputs, Motion, PrimaryHit, Technique};
+use crate::techniques::Technique;
+use crate::world::Motion;
 use crate::world::{WithFilter, World};
 
 /// A scene ready for any number of runs: its facts and its first frame's world, built once.
@@ -180,7 +183,8 @@ impl FrameLoop {
     /// A loop before its first frame, on the CPU.
     ///
     /// # Errors
-    /// A picture without pixels or with 2³¹ or more, a depth of 0, no effort, no frames a second.
+    /// A picture without pixels or with 2³¹ or more, a depth of 0, no effort, no frames a second;
+    /// parameters that [`Technique::validate`] refuses.
     pub fn new(technique: Arc<dyn Technique>, stage: &Stage, shot: Shot) -> Result<Self> {
         Self::with_backend(technique, stage, shot, &Backend::Cpu)
     }
@@ -207,6 +211,7 @@ impl FrameLoop {
                 "depth {depth}, effort {effort}, fps {fps}: each must be at least 1"
             )));
         }
+        technique.validate()?;
         let plan = technique.plan(&stage.facts, &shot);
         let world = stage.first.clone();
         // Here, so that loops made one after another and run side by side share the tree instead of building one each.
@@ -447,7 +452,7 @@ impl FrameLoop {
             self.world.prepare_emitters()?;
         }
         let motion = match &self.previous {
-            Some(previous) if self.plan.keeps_history() && self.plan.constant("still") == 0 => {
+            Some(previous) if self.plan.keeps_history() && !self.plan.still => {
                 Some(Motion::new(previous, &self.world, self.shot.size))
             }
             _ => None,
@@ -519,8 +524,12 @@ impl FrameLoop {
             let begin = Instant::now();
             let (world, previous, shot) = (&*self.world, self.previous.as_deref(), self.shot);
             let technique = &*self.technique;
-            let work =
-                cpu::run_pass(pass, &self.plan, shot.size, &mut self.buffers, |buffers, band| {
+            let work = cpu::run_pass(
+                pass,
+                &self.plan,
+                (&shot, index),
+                &mut self.buffers,
+                |buffers, band| {
                     let inputs = FrameInputs {
                         world,
                         previous,
@@ -535,7 +544,8 @@ impl FrameLoop {
                         Kernel::PrimaryHits => primary_hits(&inputs, band),
                         Kernel::Technique(kernel) => technique.run(kernel, &inputs, band),
                     }
-                });
+                },
+            );
             counters = counters + work;
             add_pass(&mut self.passes, pass.name, begin.elapsed().as_secs_f64() * 1e3);
         }
@@ -691,8 +701,8 @@ fn primary_hits(inputs: &FrameInputs<'_>, band: &mut Band<'_>) -> Counters {
         fn run<F: HitFilter + Sync>(self, filter: F) -> Counters {
             let Self(inputs, band) = self;
             let world = inputs.world;
-            let hits: &mut [PrimaryHit] = band.take(0);
-            let emission: &mut [[f32; 3]] = band.take(1);
+            let hits: &mut [PrimaryHit] = band.take(Plan::HITS);
+            let emission: &mut [[f32; 3]] = band.take(Plan::EMISSION);
             let first = band.range.start * band.width;
             for (local, (out, seen)) in hits.iter_mut().zip(emission).enumerate() {
                 let pixel = first + local as u32;

@@ -29,7 +29,6 @@ pub(crate) enum Lanes {
 pub(crate) enum Origin {
     Fixed([u32; 2]),
     /// Drawn anew in each frame, less than a tile's size: `index(width)` and `index(height)` of the frame's stream of this purpose for cell 0.
-    #[allow(dead_code, reason = "no plan has such a grid yet")]
     PerFrame(Purpose),
 }
 

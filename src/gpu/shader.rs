@@ -26,10 +26,10 @@ pub mod wgsl {
     pub const RNG: &str = include_str!("../math/rng.wgsl");
     /// Weighted reservoirs, MIS weights, mutated weights, as in [`crate::resampling`].
     pub const RESAMPLING: &str = crate::resampling::RESAMPLING_WGSL.text;
-    /// [`crate::resampling::spatial`], and [`temporal`](crate::resampling::temporal) with one other input; its head says what a host adds.
+    /// [`crate::resampling::merge()`], and [`merge_history`](crate::resampling::merge_history) with one other input; its head says what a host adds.
     pub const MERGE: &str = crate::resampling::MERGE_WGSL.text;
-    /// What visibility policies keep, as in [`crate::direct`]: outcomes, averages, estimates.
-    pub const VISIBILITY: &str = crate::direct::VISIBILITY_WGSL.text;
+    /// What visibility policies keep, as in [`crate::reuse`]: outcomes, averages, estimates.
+    pub const VISIBILITY: &str = crate::reuse::light_points::VISIBILITY_WGSL.text;
 }
 
 /// What every kernel that knows the scene is made of.

@@ -83,6 +83,10 @@ pub enum Purpose {
     TileMask = 7,
     /// Light tiles sampled ahead.
     LightTile = 8,
+    /// The exchange of neighbours that all pixels of a frame share.
+    Taps = 9,
+    /// Which pixels get one estimate more than others.
+    Effort = 10,
 }
 
 /// A 64-bit hash of (run, cell, frame, purpose, round), where a cell is a pixel, tile or item number.

@@ -12,6 +12,7 @@
 use glam::Vec3;
 
 use crate::accel::{Hit, HitFilter, HitPoint, Ray};
+use crate::counters::Counters;
 use crate::light::NO_LIGHT;
 use crate::math::luminance;
 use crate::math::rng::{
@@ -19,78 +20,6 @@ use crate::math::rng::{
 };
 use crate::surface::SurfacePoint;
 use crate::world::World;
-
-macro_rules! counters {
-    ($($(#[$doc:meta])* $name:ident,)*) => {
-        /// Work that was done: exact and the same for any number of threads.
-        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-        pub struct Counters {
-            $($(#[$doc])* pub $name: u64,)*
-        }
-
-        impl Counters {
-            /// Names and values, in a fixed order.
-            #[must_use]
-            pub fn entries(&self) -> Vec<(&'static str, u64)> {
-                vec![$((stringify!($name), self.$name),)*]
-            }
-
-            /// From all lower words in the order of [`Counters::entries`], and all upper ones behind them.
-            #[cfg(feature = "gpu")]
-            pub(crate) fn from_words(words: &[u32]) -> Self {
-                let count = [$(stringify!($name)),*].len();
-                let word = |at: usize| u64::from(words.get(at).copied().unwrap_or(0));
-                let mut numbers = (0..count).map(|at| word(at) | word(count + at) << 32);
-                Self { $($name: numbers.next().unwrap_or(0),)* }
-            }
-        }
-
-        impl std::ops::Add for Counters {
-            type Output = Self;
-
-            fn add(self, other: Self) -> Self {
-                Self { $($name: self.$name + other.$name,)* }
-            }
-        }
-    };
-}
-
-counters! {
-    /// Rays from the camera.
-    primary_rays,
-    /// Rays that continue a path.
-    bounce_rays,
-    /// Rays that only ask for occlusion.
-    shadow_rays,
-    /// Rays that look for emitters alone.
-    emitter_rays,
-    /// Light samples that needed no ray: nothing emitted towards the receiver, or nothing scattered.
-    shadow_rays_saved,
-    /// Complete path estimates.
-    paths,
-    /// Light points that a pixel's own reservoir was offered.
-    candidates,
-    /// Light points made ahead, in tiles.
-    tile_entries,
-    /// Integrands evaluated at another pixel or frame.
-    shifts,
-    /// Of these, undefined or zero.
-    shifts_failed,
-    /// Pixels that took last frame's reservoir into account.
-    temporal_merges,
-    /// Neighbours' reservoirs that were taken into account.
-    spatial_merges,
-    /// Neighbours and histories that the surfaces ruled out.
-    reuse_rejected,
-    /// Mutations proposed.
-    mutations,
-    /// Mutations accepted.
-    mutations_accepted,
-    /// Candidates whose weight was not a finite number of at least 0. Always a bug.
-    weights_rejected,
-    /// Estimates that were not finite. Always a bug: they are counted and shown as black, never passed on.
-    non_finite,
-}
 
 /// Which lights a vertex samples; kernels are compiled for one.
 pub mod sampled {

@@ -1,226 +1,54 @@
 //! What a scene needs ([`SceneFacts`]) and what a technique will therefore run ([`Plan`]): plain data, made once, printed by
 //! `afterimage plan`.
 
+mod builder;
+mod facts;
+mod shot;
+
 use std::fmt;
+use std::marker::PhantomData;
 
-use crate::light::LightCounts;
-use crate::math::luminance;
+pub use builder::{Builder, NewPass};
+pub use facts::SceneFacts;
+pub use shot::{Filter, Shot};
+
+use crate::math::rng::{Purpose, RandomSource, Stream};
 pub use crate::resampling::Claim;
-use crate::scene::{Color, LightKind, Material, MaterialId, Scalar, Scene};
-use crate::surface::material::evaluate_material;
-
-/// What a scene contains, as far as it decides what can be left out.
-#[derive(Clone, Debug, PartialEq)]
-pub struct SceneFacts {
-    /// Lights by kind; black ones apart.
-    pub lights: LightCounts,
-    /// Whether all emission is grey: a scalar visibility then loses no colour.
-    pub grey_lights: bool,
-    /// Whether any surface's emission is textured.
-    pub textured_emission: bool,
-    /// Whether some material has a perfectly specular lobe.
-    pub delta_lobes: bool,
-    /// Whether some material is glossy: neither diffuse nor perfectly specular.
-    pub glossy_lobes: bool,
-    /// Whether some material transmits.
-    pub transmission: bool,
-    /// Whether coverage lets rays through somewhere.
-    pub alpha: bool,
-    /// Whether the camera moves.
-    pub moving_camera: bool,
-    /// Whether a light without a surface, or an emitting instance, moves.
-    pub moving_lights: bool,
-    /// Whether an instance moves.
-    pub moving_geometry: bool,
-    /// Number of triangles, spheres and disks as placed.
-    pub primitives: u64,
-    /// Path segments that the file asks for.
-    pub depth: u32,
-}
-
-impl SceneFacts {
-    /// Reads the facts off a scene, which may move, and its light table's counts.
-    #[must_use]
-    pub fn new(scene: &Scene, lights: LightCounts) -> Self {
-        let mut facts = Self {
-            lights,
-            grey_lights: true,
-            textured_emission: false,
-            delta_lobes: false,
-            glossy_lobes: false,
-            transmission: false,
-            alpha: false,
-            moving_camera: scene.camera.to_world.moves(),
-            moving_lights: scene.lights.iter().any(|light| light.to_world.moves()),
-            moving_geometry: false,
-            primitives: 0,
-            depth: scene.depth,
-        };
-        let grey =
-            |rgb: glam::Vec3| (rgb - luminance(rgb)).abs().max_element() <= 1e-6 * luminance(rgb);
-        for instance in &scene.instances {
-            let moves = instance.to_world.moves();
-            facts.moving_geometry |= moves;
-            for shape in &scene.objects[instance.object.index()].shapes {
-                facts.primitives += match &shape.geometry {
-                    crate::scene::Geometry::Mesh(mesh) => mesh.triangles.len() as u64,
-                    _ => 1,
-                };
-                facts.alpha |= shape
-                    .alpha
-                    .is_some_and(|alpha| !matches!(alpha, Scalar::Constant(a) if a >= 1.0));
-                facts.add_material(scene, shape.material);
-                if let Some(emission) = shape.emission {
-                    facts.moving_lights |= moves;
-                    match emission.radiance {
-                        Color::Constant(rgb) => facts.grey_lights &= grey(rgb),
-                        Color::Texture(_) => {
-                            facts.textured_emission = true;
-                            facts.grey_lights = false;
-                        }
-                    }
-                }
-            }
-        }
-        for light in &scene.lights {
-            facts.grey_lights &= match light.kind {
-                LightKind::Point { intensity } | LightKind::Spot { intensity, .. } => {
-                    grey(intensity)
-                }
-                LightKind::Distant { irradiance } => grey(irradiance),
-                LightKind::Environment { radiance, image } => image.is_none() && grey(radiance),
-            };
-        }
-        facts
-    }
-
-    fn add_material(&mut self, scene: &Scene, id: MaterialId) {
-        let textured = |scalar: &Scalar| !matches!(scalar, Scalar::Constant(_));
-        let (rough, varies) = match &scene.materials[id.index()] {
-            Material::Mix { first, second, .. } => {
-                // Parts of a mix are not mixes, as validation has checked.
-                self.add_material(scene, *first);
-                return self.add_material(scene, *second);
-            }
-            Material::Diffuse { .. } => (false, false),
-            Material::DiffuseTransmission { .. } => {
-                self.transmission = true;
-                (false, false)
-            }
-            Material::Conductor { roughness, .. } | Material::CoatedDiffuse { roughness, .. } => {
-                (true, textured(&roughness.u) || textured(&roughness.v))
-            }
-            Material::Dielectric { roughness, .. } => {
-                self.transmission = true;
-                (true, textured(&roughness.u) || textured(&roughness.v))
-            }
-            Material::ThinDielectric { .. } => {
-                self.transmission = true;
-                (false, false)
-            }
-            Material::MetallicRoughness { roughness, transmission, .. } => {
-                self.transmission |= !matches!(transmission, Scalar::Constant(0.0));
-                self.glossy_lobes = true;
-                (true, textured(roughness))
-            }
-        };
-        // What is smooth enough for a delta is the lobes' own business; only roughness decides it, so any texture coordinates do.
-        let bsdf = evaluate_material(scene, id, glam::Vec2::splat(0.5));
-        self.delta_lobes |= varies || (0..bsdf.lobe_count()).any(|lobe| bsdf.is_delta(lobe));
-        self.glossy_lobes |= rough && (varies || !bsdf.is_delta(0));
-    }
-
-    /// What another scene has that a plan made for this one may have left out; `None` if nothing.
-    #[must_use]
-    pub fn lacks(&self, other: &Self) -> Option<&'static str> {
-        let (here, there) = (&self.lights, &other.lights);
-        let surfaces = |counts: &LightCounts| counts.triangles + counts.quadrics;
-        [
-            (surfaces(here) == 0 && surfaces(there) > 0, "an emitting surface"),
-            (here.delta == 0 && there.delta > 0, "a point, spot or distant light"),
-            (here.environments == 0 && there.environments > 0, "an environment"),
-            (!self.delta_lobes && other.delta_lobes, "a perfectly specular surface"),
-            (!self.alpha && other.alpha, "a surface with coverage"),
-        ]
-        .into_iter()
-        .find_map(|(lacks, what)| lacks.then_some(what))
-    }
-
-    /// Number of lights that can be drawn.
-    #[must_use]
-    pub fn light_count(&self) -> u32 {
-        let LightCounts { triangles, quadrics, delta, environments, black: _ } = self.lights;
-        triangles + quadrics + delta + environments
-    }
-
-    /// Whether any two frames can differ.
-    #[must_use]
-    pub fn moves(&self) -> bool {
-        self.moving_camera || self.moving_lights || self.moving_geometry
-    }
-
-    /// Names and values, for people.
-    #[must_use]
-    pub fn entries(&self) -> Vec<(&'static str, String)> {
-        let LightCounts { triangles, quadrics, delta, environments, black } = self.lights;
-        vec![
-            ("primitives", self.primitives.to_string()),
-            ("emitting triangles", triangles.to_string()),
-            ("emitting spheres and disks", quadrics.to_string()),
-            ("point, spot and distant lights", delta.to_string()),
-            ("environments", environments.to_string()),
-            ("black lights", black.to_string()),
-            ("grey lights only", self.grey_lights.to_string()),
-            ("textured emission", self.textured_emission.to_string()),
-            ("delta lobes", self.delta_lobes.to_string()),
-            ("glossy lobes", self.glossy_lobes.to_string()),
-            ("transmission", self.transmission.to_string()),
-            ("coverage masks", self.alpha.to_string()),
-            ("moving camera", self.moving_camera.to_string()),
-            ("moving lights", self.moving_lights.to_string()),
-            ("moving geometry", self.moving_geometry.to_string()),
-            ("depth", self.depth.to_string()),
-        ]
-    }
-}
-
-/// Where in a pixel primary rays pass.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Filter {
-    /// Through its centre, the same in every frame.
-    Point,
-    /// Anywhere, uniformly; drawn anew for every pixel, frame and sample.
-    Box,
-}
-
-/// What is rendered, besides the scene and the technique.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Shot {
-    /// Width and height in pixels.
-    pub size: [u32; 2],
-    /// Most segments of a path; 1 is directly visible emission only.
-    pub depth: u32,
-    /// Pixel filter.
-    pub filter: Filter,
-    /// Key of all random numbers; another run is an independent restart.
-    pub run: u64,
-    /// Complete independent estimates a frame, averaged.
-    pub effort: u32,
-    /// Frames a second of scene time.
-    pub fps: u32,
-}
-
-impl Shot {
-    /// Number of pixels.
-    #[must_use]
-    pub fn pixels(&self) -> usize {
-        self.size[0] as usize * self.size[1] as usize
-    }
-}
 
 /// A per-pixel or per-item buffer of the frame loop, by its place in [`Plan::buffers`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BufferId(pub usize);
+
+/// A buffer by its name, with the type of its elements. A technique declares a constant for each of
+/// its buffers, makes the buffer by it ([`Builder::buffer`]) and finds it by it ([`Plan::id`]), so
+/// neither a name nor a type is written twice.
+pub struct BufferKey<T> {
+    /// The buffer's name, for people and for hosts ([`Plan::buffer`]).
+    pub name: &'static str,
+    element: PhantomData<fn() -> T>,
+}
+
+impl<T> BufferKey<T> {
+    /// The key of the buffer `name`.
+    #[must_use]
+    pub const fn new(name: &'static str) -> Self {
+        Self { name, element: PhantomData }
+    }
+}
+
+impl<T> Clone for BufferKey<T> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<T> Copy for BufferKey<T> {}
+
+impl<T> fmt::Debug for BufferKey<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("BufferKey").field(&self.name).finish()
+    }
+}
 
 /// Untyped state, the same bytes on every backend.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -249,17 +77,42 @@ pub enum Elements {
 pub enum Domain {
     /// One pixel.
     Pixels,
-    /// A tile of pixels whose lanes may exchange state; the grid starts at −origin.
+    /// A tile of pixels whose lanes may exchange state.
     Tiles {
         /// Pixels across.
         width: u32,
         /// Pixels down.
         height: u32,
-        /// Shift of the grid to the left and up.
-        origin: [u32; 2],
+        /// Where the grid of tiles begins.
+        grid: Grid,
     },
     /// One of n items.
     Items(u32),
+}
+
+/// Where a grid of tiles begins: at −origin, so that origin (0, 0) begins it at the upper left
+/// pixel. Tiles at the picture's edges are partial.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Grid {
+    /// At the same origin in all frames.
+    Fixed([u32; 2]),
+    /// At an origin that is drawn anew in each frame, uniformly over a tile's pixels, from the
+    /// stream (run, 0, frame, purpose, 0).
+    PerFrame(Purpose),
+}
+
+impl Grid {
+    /// The origin in a frame of a run, below `tile` in both coordinates.
+    #[must_use]
+    pub fn origin(self, tile: [u32; 2], run: u64, frame: u32) -> [u32; 2] {
+        match self {
+            Self::Fixed(origin) => [origin[0] % tile[0], origin[1] % tile[1]],
+            Self::PerFrame(purpose) => {
+                let mut random = Stream::new(run, 0, frame, purpose, 0);
+                tile.map(|side| random.index(side))
+            }
+        }
+    }
 }
 
 /// Who runs a pass.
@@ -284,6 +137,8 @@ pub struct Pass {
     pub writes: Vec<BufferId>,
     /// When it runs.
     pub runs: Runs,
+    /// Most rays a pixel, by kind: see [`Plan::RAY_KINDS`].
+    pub rays: [u64; 4],
 }
 
 /// In which frames a pass runs.
@@ -318,10 +173,11 @@ pub struct Plan {
     pub buffers: Vec<BufferPlan>,
     /// What is left out, and why.
     pub skipped: Vec<Skip>,
-    /// Most rays a pixel and frame, by kind: see [`Plan::RAY_KINDS`].
-    pub rays_per_pixel: [u64; 4],
     /// What kernels are specialised on: fixed for all frames, so that no ray asks.
     pub constants: Vec<(&'static str, u32)>,
+    /// Whether every frame has the same receivers, lights and occluders: nothing moves, and the
+    /// filter is a point.
+    pub still: bool,
     /// Whether kernels ask which emitters a ray meets ([`crate::world::World::emitters`]).
     pub emitters: bool,
     /// Whether the answer is exact in the mean.
@@ -345,10 +201,24 @@ impl Plan {
         self.buffers.iter().position(|buffer| buffer.name == name).map(BufferId)
     }
 
-    /// A constant by its name; 0 where the plan has none.
+    /// The buffer of a key; `None` where the plan leaves it out.
     #[must_use]
-    pub fn constant(&self, name: &str) -> u32 {
-        self.constants.iter().find(|(known, _)| *known == name).map_or(0, |(_, value)| *value)
+    pub fn id<T>(&self, key: BufferKey<T>) -> Option<BufferId> {
+        self.buffer(key.name)
+    }
+
+    /// A constant by its name; `None` where the plan has none of that name.
+    #[must_use]
+    pub fn constant(&self, name: &str) -> Option<u32> {
+        self.constants.iter().find(|(known, _)| *known == name).map(|(_, value)| *value)
+    }
+
+    /// Most rays a pixel and frame, by kind: see [`Plan::RAY_KINDS`].
+    #[must_use]
+    pub fn rays_per_pixel(&self) -> [u64; 4] {
+        self.passes.iter().fold([0; 4], |sum, pass| {
+            std::array::from_fn(|kind| sum[kind].saturating_add(pass.rays[kind]))
+        })
     }
 
     /// Whether what was in earlier frames changes later ones.
@@ -389,7 +259,7 @@ impl fmt::Display for Plan {
         writeln!(f, "claim      {}", self.claim)?;
         let rays: Vec<String> = Self::RAY_KINDS
             .iter()
-            .zip(self.rays_per_pixel)
+            .zip(self.rays_per_pixel())
             .map(|(kind, most)| format!("{most} {kind}"))
             .collect();
         writeln!(f, "rays       at most {} a pixel and frame", rays.join(", "))?;

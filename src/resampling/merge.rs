@@ -19,7 +19,7 @@ pub struct Input<'a, S, D, M> {
 
 /// The inputs of a merge besides the canonical one. A slice of [`Input`]s is the plain form; a host that finds domains only when they are
 /// asked for (most merges ask for few) implements it for a type of its own.
-pub trait Others<S, D, M> {
+pub trait OtherInputs<S, D, M, I> {
     /// A domain, or a reference to one.
     type Domain<'s>: Borrow<D>
     where
@@ -36,9 +36,22 @@ pub trait Others<S, D, M> {
 
     /// The domain of number `at`.
     fn domain(&self, at: usize) -> Self::Domain<'_>;
+
+    /// The shift of number `at`'s sample to the canonical domain, `Some(None)` if it is undefined,
+    /// where the host knows it already: pixels that exchange their samples in pairs need each shift
+    /// once for both.
+    fn arriving(&self, _at: usize) -> Option<Option<Shifted<S, I>>> {
+        None
+    }
+
+    /// p̂ of domain number `at` at T(y) times |∂T| for the canonical sample y, 0 if that shift is
+    /// undefined, where the host knows it already.
+    fn leaving(&self, _at: usize) -> Option<f32> {
+        None
+    }
 }
 
-impl<S: Copy, D, M: Measure> Others<S, D, M> for [Input<'_, S, D, M>] {
+impl<S: Copy, D, M: Measure, I> OtherInputs<S, D, M, I> for [Input<'_, S, D, M>] {
     type Domain<'s>
         = &'s D
     where
@@ -91,16 +104,16 @@ pub struct Merged<S, I, M> {
 
 /// Merges `others` into `canonical`: wᵢ = mᵢ p̂(T yᵢ) Wᵢ |∂T|, Y ∝ w, W = Σw / p̂(Y) (Lin et al. 2022, eq. 19, 22).
 ///
-/// Others must have been accepted by their domains alone, never by their samples; one whose shift fails stays in the MIS weights.
+/// OtherInputs must have been accepted by their domains alone, never by their samples; one whose shift fails stays in the MIS weights.
 /// `carry` is asked for each input that is streamed, which those of weight 0 are not, others first, what it brings to `reservoir`, which must be empty.
 ///
 /// Shifts from and to the others are only made where a weight needs them: none to an input while the canonical has no sample, none at all
 /// for constant weights.
-pub fn spatial<T, R, M>(
+pub fn merge<T, R, M>(
     map: &mut T,
     family: Family,
     canonical: &Input<'_, T::Sample, T::Domain, M>,
-    others: &(impl Others<T::Sample, T::Domain, M> + ?Sized),
+    others: &(impl OtherInputs<T::Sample, T::Domain, M, T::Integrand> + ?Sized),
     reservoir: &mut R,
     random: &mut impl RandomSource,
     mut carry: impl FnMut(&Term<T::Sample, T::Integrand>) -> R::Carried,
@@ -139,17 +152,18 @@ where
         if confidence <= 0.0 {
             continue;
         }
-        let domain = others.domain(at);
-        let domain = domain.borrow();
         if let Family::Pairwise | Family::DefensivePairwise = family
             && let Some(own_sample) = &own.sample
         {
-            let from = target_from(map, own_sample, canonical.domain, domain);
+            let from = leaving(map, others, at, own_sample, canonical.domain);
             any_other |= from > 0.0;
             canonical_mis += pairwise.canonical_part(confidence, from, canonical.target);
         }
         let Some(sample) = &sample else { continue };
-        let Some(candidate) = map.shift(sample, domain, canonical.domain) else { continue };
+        let arriving = others
+            .arriving(at)
+            .unwrap_or_else(|| map.shift(sample, others.domain(at).borrow(), canonical.domain));
+        let Some(candidate) = arriving else { continue };
         let target = candidate.integrand.target();
         if target <= 0.0 {
             continue;
@@ -193,8 +207,7 @@ where
             for rival in 0..count {
                 let confidence = others.finished(rival).confidence;
                 if confidence > 0.0 {
-                    let domain = others.domain(rival);
-                    let seen = target_from(map, &sample, canonical.domain, domain.borrow());
+                    let seen = leaving(map, others, rival, &sample, canonical.domain);
                     any_other |= seen > 0.0;
                     rivals += confidence / own.confidence * (seen / canonical.target);
                 }
@@ -284,7 +297,7 @@ where
 /// Merges last frame's reservoir into this frame's, its confidence capped at `cap` times the canonical's.
 ///
 /// Without a cap a chain of merges converges to a wrong picture: old samples outweigh all new ones. The cap is in frames; a paper's M.
-pub fn temporal<T, R, M>(
+pub fn merge_history<T, R, M>(
     map: &mut T,
     (family, cap): (Family, f32),
     canonical: &Input<'_, T::Sample, T::Domain, M>,
@@ -304,7 +317,21 @@ where
         target: previous.target,
         domain: previous.domain,
     };
-    spatial(map, family, canonical, [capped].as_slice(), reservoir, random, carry)
+    merge(map, family, canonical, [capped].as_slice(), reservoir, random, carry)
+}
+
+/// p̂ of input number `at` at the canonical sample, as the canonical domain sees it.
+#[inline]
+fn leaving<T: ShiftMap, M>(
+    map: &mut T,
+    others: &(impl OtherInputs<T::Sample, T::Domain, M, T::Integrand> + ?Sized),
+    at: usize,
+    own_sample: &T::Sample,
+    canonical: &T::Domain,
+) -> f32 {
+    others
+        .leaving(at)
+        .unwrap_or_else(|| target_from(map, own_sample, canonical, others.domain(at).borrow()))
 }
 
 /// p̂ of `domain` at T(y) times |∂T|: its target as the canonical domain sees it; 0 where T is undefined.

@@ -27,7 +27,7 @@
 //!
 //! ```
 //! use afterimage::math::rng::{RandomSource, Stream};
-//! use afterimage::resampling::{Counting, Family, Finished, Identity, Input, Plain, Reservoir, spatial};
+//! use afterimage::resampling::{Counting, Family, Finished, Identity, Input, Plain, Reservoir, merge};
 //!
 //! // Two pixels estimate ∫ x² dx = 1/3 and ∫ (1 − x)² dx = 1/3 over [0, 1]; a domain is the pixel's integrand.
 //! let domains: [fn(&f32) -> f32; 2] = [|x| x * x, |x| (1.0 - x) * (1.0 - x)];
@@ -48,7 +48,7 @@
 //!         inputs.push(Input { finished, target, domain });
 //!     }
 //!     // The first pixel also takes the second one's sample, in its own domain.
-//!     let merged = spatial(
+//!     let merged = merge(
 //!         &mut map,
 //!         Family::DefensivePairwise,
 //!         &inputs[0],
@@ -75,7 +75,7 @@ mod tests;
 
 /// Reservoirs, MIS weights and mutations in WGSL; needs [`crate::math::rng`]'s.
 pub const RESAMPLING_WGSL: Module = crate::wgsl!("resampling.wgsl");
-/// [`spatial`] and [`temporal`] in WGSL; its head says what a host adds.
+/// [`merge()`] and [`merge_history`] in WGSL; its head says what a host adds.
 pub const MERGE_WGSL: Module = crate::wgsl!("merge.wgsl");
 
 pub use claim::Claim;
@@ -83,7 +83,7 @@ pub use estimate::{
     Conditions, ControlVariate, Decoupled, DecoupledState, Estimator, Selected, SelectedState,
     WeightedVisibility,
 };
-pub use merge::{Input, Merged, Others, Term, spatial, temporal};
+pub use merge::{Input, Merged, OtherInputs, Term, merge, merge_history};
 pub use mis::Family;
 pub use mutate::{Chain, Mutator, Proposal, metropolis, mutated_weight};
 pub use reservoir::{

@@ -3,18 +3,18 @@
 //! A technique is named by a SPEC: `name` or `name:key=value,key=value`. [`REGISTRY`] lists all; the command line, benches and tests loop
 //! over it.
 
-mod pass;
 mod path_tracer;
 mod restir_di;
 
 use std::fmt;
 
-pub use pass::{Band, Buffer, FrameInputs, MAX_WRITES, Motion, PrimaryHit};
+pub use crate::spec::{Parameter, Values};
 pub use path_tracer::{LightSampling, PathTracer};
-pub use restir_di::{LightTiles, MAX_NEIGHBOURS, RestirDi};
+pub use restir_di::{LightTiles, RestirDi};
 
+use crate::counters::Counters;
 use crate::error::{Error, Result, suggest};
-use crate::path::Counters;
+use crate::pass::{Band, FrameInputs};
 use crate::plan::{Plan, SceneFacts, Shot};
 pub use crate::twin::Twin;
 
@@ -24,10 +24,17 @@ pub use crate::twin::Twin;
 /// 1. `parse(technique.spec())` gives the same technique.
 /// 2. A kernel's writes depend on its inputs only, not on how the picture is cut into bands.
 /// 3. The mean over runs agrees with `plan().claim`.
-/// 4. No frame uses more rays of a kind than `plan().rays_per_pixel` says.
+/// 4. No frame uses more rays of a kind than `plan().rays_per_pixel()` says.
 pub trait Technique: fmt::Debug + Send + Sync {
     /// The canonical SPEC: the name, and the parameters that differ from their defaults.
     fn spec(&self) -> String;
+
+    /// Refuses parameters that are out of range or contradict each other; every constructor of a
+    /// frame loop calls it, so `plan` and `run` only meet parameters that it accepts.
+    ///
+    /// # Errors
+    /// A usage error that names the parameter, what was given and what is allowed.
+    fn validate(&self) -> Result<()>;
 
     /// What will run for a scene, and what is left out.
     fn plan(&self, facts: &SceneFacts, shot: &Shot) -> Plan;
@@ -49,93 +56,14 @@ pub struct Entry {
     /// One line for people.
     pub about: &'static str,
     /// Its parameters.
-    pub parameters: &'static [Parameter],
-    /// Builds the technique from given values.
-    pub build: fn(&mut Values) -> Result<Box<dyn Technique>>,
-}
-
-/// A parameter that a SPEC may set.
-#[derive(Clone, Copy, Debug)]
-pub struct Parameter {
-    /// As in a SPEC.
-    pub key: &'static str,
-    /// What it does, its range, what higher and lower values cost.
-    pub about: &'static str,
-    /// Where it is not given.
-    pub default: &'static str,
+    pub parameters: fn() -> Vec<Parameter>,
+    /// Builds the technique from given values, each of a key that `parameters` lists.
+    pub build: fn(&Values) -> Result<Box<dyn Technique>>,
 }
 
 /// All techniques.
 pub const REGISTRY: &[Entry] =
     &[path_tracer::BSDF, path_tracer::NEE, restir_di::RIS, restir_di::RESTIR_DI];
-
-/// The `key=value` pairs of a SPEC.
-#[derive(Clone, Debug, Default)]
-pub struct Values {
-    pairs: Vec<(String, String)>,
-}
-
-impl Values {
-    /// The value of `key` as a number in `range`, or `default`.
-    ///
-    /// # Errors
-    /// A usage error that names the key, what was given and what is allowed.
-    pub fn integer(
-        &mut self,
-        key: &str,
-        default: u32,
-        range: std::ops::RangeInclusive<u32>,
-    ) -> Result<u32> {
-        let Some(text) = self.text(key) else { return Ok(default) };
-        match text.parse::<u32>() {
-            Ok(value) if range.contains(&value) => Ok(value),
-            _ => Err(Error::usage(format!(
-                "`{key}` is `{text}`, but must be an integer in [{}, {}]",
-                range.start(),
-                range.end()
-            ))),
-        }
-    }
-}
-
-impl Values {
-    /// The value of `key` as one of `names`, by its place among them.
-    ///
-    /// # Errors
-    /// A usage error that lists the names, nearest first.
-    pub fn choice(&mut self, key: &str, default: usize, names: &[&str]) -> Result<usize> {
-        let Some(text) = self.text(key) else { return Ok(default) };
-        names.iter().position(|name| *name == text).ok_or_else(|| {
-            Error::usage(format!("`{key}` has no value `{text}`; {}", suggest(&text, names)))
-        })
-    }
-
-    /// The value of `key` as a number in `range`, or `default`.
-    ///
-    /// # Errors
-    /// A usage error that names the key, what was given and what is allowed.
-    pub fn number(
-        &mut self,
-        key: &str,
-        default: f32,
-        range: std::ops::RangeInclusive<f32>,
-    ) -> Result<f32> {
-        let Some(text) = self.text(key) else { return Ok(default) };
-        match text.parse::<f32>() {
-            Ok(value) if range.contains(&value) => Ok(value),
-            _ => Err(Error::usage(format!(
-                "`{key}` is `{text}`, but must be a number in [{}, {}]",
-                range.start(),
-                range.end()
-            ))),
-        }
-    }
-
-    fn text(&mut self, key: &str) -> Option<String> {
-        let at = self.pairs.iter().position(|(k, _)| k == key)?;
-        Some(self.pairs.remove(at).1)
-    }
-}
 
 /// The technique that a SPEC names.
 ///
@@ -147,29 +75,9 @@ pub fn parse(spec: &str) -> Result<Box<dyn Technique>> {
     let entry = REGISTRY.iter().find(|entry| entry.name == name).ok_or_else(|| {
         Error::usage(format!("no technique is called `{name}`; {}", suggest(name, &names)))
     })?;
-    let keys: Vec<&str> = entry.parameters.iter().map(|parameter| parameter.key).collect();
-    let mut values = Values::default();
-    for pair in rest.split(',').filter(|pair| !pair.is_empty()) {
-        let Some((key, value)) = pair.split_once('=') else {
-            return Err(Error::usage(format!(
-                "`{pair}` in `{spec}` is not of the form key=value; {}",
-                suggest(pair, &keys)
-            )));
-        };
-        if !keys.contains(&key) {
-            return Err(Error::usage(format!(
-                "`{name}` has no parameter `{key}`; {}",
-                suggest(key, &keys)
-            )));
-        }
-        if values.pairs.iter().any(|(k, _)| k == key) {
-            return Err(Error::usage(format!("`{key}` is given twice in `{spec}`")));
-        }
-        values.pairs.push((key.to_string(), value.to_string()));
-    }
-    let technique = (entry.build)(&mut values)?;
-    debug_assert!(values.pairs.is_empty(), "a declared parameter was not read: {values:?}");
-    Ok(technique)
+    let parameters = (entry.parameters)();
+    let keys: Vec<&str> = parameters.iter().map(|parameter| parameter.key).collect();
+    (entry.build)(&Values::parse(spec, name, rest, &keys)?)
 }
 
 #[cfg(test)]
@@ -181,7 +89,7 @@ mod tests {
         for entry in REGISTRY {
             let technique = parse(entry.name).unwrap();
             assert_eq!(technique.spec(), entry.name);
-            for parameter in entry.parameters {
+            for parameter in (entry.parameters)() {
                 let spec = format!("{}:{}={}", entry.name, parameter.key, parameter.default);
                 assert_eq!(
                     parse(&spec).unwrap().spec(),

@@ -5,41 +5,49 @@
 
 use glam::Vec3;
 
-use super::{Band, Entry, FrameInputs, Parameter, PrimaryHit, Technique, Twin, Values};
+use super::{Entry, Technique, Twin};
 use crate::accel::{HitFilter, Ray};
+use crate::counters::Counters;
 use crate::error::Result;
-use crate::math::rng::path_seed;
-use crate::path::{Counters, Limits, emitted, finite_or_counted, sampled, scattered_radiance};
-use crate::plan::{Claim, Domain, Filter, Kernel, Pass, Plan, Runs, SceneFacts, Shot, Skip};
+use crate::pass::{Band, FrameInputs, PrimaryHit};
+use crate::path::{Limits, emitted, finite_or_counted, sampled, scattered_radiance};
+use crate::plan::{Builder, Claim, Filter, NewPass, Plan, SceneFacts, Shot};
+use crate::spec::{self, Choice, Row, row};
 use crate::world::WithFilter;
 
-const ROULETTE: Parameter = Parameter {
-    key: "roulette",
-    about: "scatterings before Russian roulette may end a path, in [0, 1000]; lower is faster and noisier",
-    default: "5",
-};
-const LIGHTS: Parameter = Parameter {
-    key: "lights",
-    about: "lights sampled at a vertex: one, by power, or all; all takes a ray a light, and is the better reference where hundreds of small lights are seen directly",
-    default: "one",
-};
+/// The rows of `bsdf`; `nee` has all of [`rows`].
+fn rows_of_bsdf() -> [Row<PathTracer>; 1] {
+    [row!(
+        PathTracer,
+        "roulette",
+        roulette_after: 0..=1000,
+        "scatterings before Russian roulette may end a path; lower is faster and noisier"
+    )]
+}
+
+fn rows() -> [Row<PathTracer>; 2] {
+    let [roulette] = rows_of_bsdf();
+    let lights = row!(
+        PathTracer,
+        "lights",
+        choice lights: LightSampling,
+        "lights sampled at a vertex: one, by power, or all; all takes a ray a light, and is the better reference where hundreds of small lights are seen directly"
+    );
+    [roulette, lights]
+}
 
 pub(super) const BSDF: Entry = Entry {
     name: "bsdf",
     about: "path tracing by BSDF sampling alone (Kajiya 1986); cannot find point, spot and distant lights",
-    parameters: &[ROULETTE],
-    build: |values| PathTracer::from_values(LightSampling::None, values),
+    parameters: || spec::describe(&rows_of_bsdf(), &PathTracer::bsdf()),
+    build: |values| Ok(Box::new(spec::build(PathTracer::bsdf(), &rows_of_bsdf(), values)?)),
 };
 
 pub(super) const NEE: Entry = Entry {
     name: "nee",
     about: "path tracing with light sampling and MIS at every vertex (Veach 1997); the reference",
-    parameters: &[ROULETTE, LIGHTS],
-    build: |values| {
-        let all = [LightSampling::One, LightSampling::All];
-        let lights = all[values.choice("lights", 0, &["one", "all"])?];
-        PathTracer::from_values(lights, values)
-    },
+    parameters: || spec::describe(&rows(), &PathTracer::default()),
+    build: |values| Ok(Box::new(spec::build(PathTracer::default(), &rows(), values)?)),
 };
 
 /// Which lights a vertex samples.
@@ -51,6 +59,19 @@ pub enum LightSampling {
     One,
     /// Each of them once: time grows with their number, noise does not.
     All,
+}
+
+impl Choice for LightSampling {
+    /// Those of `nee`; `bsdf` has no choice.
+    const ALL: &'static [Self] = &[Self::One, Self::All];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::One => "one",
+            Self::All => "all",
+        }
+    }
 }
 
 /// `bsdf` and `nee`.
@@ -71,10 +92,10 @@ impl Default for PathTracer {
 }
 
 impl PathTracer {
-    fn from_values(lights: LightSampling, values: &mut Values) -> Result<Box<dyn Technique>> {
-        let default = Self { lights, ..Self::default() };
-        let roulette_after = values.integer("roulette", default.roulette_after, 0..=1000)?;
-        Ok(Box::new(Self { roulette_after, ..default }))
+    /// By BSDF sampling alone: `bsdf`.
+    #[must_use]
+    pub fn bsdf() -> Self {
+        Self { lights: LightSampling::None, ..Self::default() }
     }
 
     fn paths<const LIGHTS: u8, F: HitFilter>(
@@ -85,7 +106,7 @@ impl PathTracer {
     ) -> Counters {
         let shot = inputs.shot;
         let limits = Limits { depth: shot.depth, roulette_after: self.roulette_after };
-        let radiance: &mut [[f32; 3]] = band.take(0);
+        let radiance: &mut [[f32; 3]] = band.take(Plan::RADIANCE);
         let mut counters = Counters::default();
         let mean = 1.0 / shot.effort as f32;
         match shot.filter {
@@ -100,7 +121,7 @@ impl PathTracer {
                             inputs.sample_position(pixel % band.width, pixel / band.width, 0);
                         let direction = inputs.camera.ray(position).direction;
                         for sample in 0..shot.effort {
-                            let seed = path_seed(shot.run, pixel, inputs.frame, sample);
+                            let seed = inputs.seeds(pixel).seed(sample);
                             let path = scattered_radiance::<LIGHTS, F>(
                                 inputs.world,
                                 filter,
@@ -116,7 +137,7 @@ impl PathTracer {
                 }
             }
             Filter::Box => {
-                let emission: &mut [[f32; 3]] = band.take(1);
+                let emission: &mut [[f32; 3]] = band.take(Plan::EMISSION);
                 let first = band.range.start * band.width;
                 for (local, (out, seen)) in radiance.iter_mut().zip(emission).enumerate() {
                     let pixel = first + local as u32;
@@ -137,7 +158,7 @@ impl PathTracer {
                         };
                         direct +=
                             emitted(inputs.world, &inputs.world.accel.point(&hit), ray.direction);
-                        let seed = path_seed(shot.run, pixel, inputs.frame, sample);
+                        let seed = inputs.seeds(pixel).seed(sample);
                         let path = scattered_radiance::<LIGHTS, F>(
                             inputs.world,
                             filter,
@@ -159,95 +180,53 @@ impl PathTracer {
 
 impl Technique for PathTracer {
     fn spec(&self) -> String {
-        let Self { lights, roulette_after } = *self;
-        let name = if lights == LightSampling::None { BSDF.name } else { NEE.name };
-        let mut keys = Vec::new();
-        if lights == LightSampling::All {
-            keys.push("lights=all".to_string());
+        match self.lights {
+            LightSampling::None => spec::write(BSDF.name, &Self::bsdf(), &rows_of_bsdf(), self),
+            _ => spec::write(NEE.name, &Self::default(), &rows(), self),
         }
-        if roulette_after != Self::default().roulette_after {
-            keys.push(format!("roulette={roulette_after}"));
-        }
-        if keys.is_empty() { name.into() } else { format!("{name}:{}", keys.join(",")) }
+    }
+
+    fn validate(&self) -> Result<()> {
+        spec::check(&rows(), self)
     }
 
     fn plan(&self, facts: &SceneFacts, shot: &Shot) -> Plan {
-        let mut skipped = Vec::new();
-        let still = !facts.moving_camera && !facts.moving_geometry;
-        let mut passes = Vec::new();
-        let bounces = u64::from(shot.depth.saturating_sub(1));
+        let mut plan = Builder::new(self.spec(), facts, shot);
         let samples = u64::from(shot.effort);
-        let mut primary = samples;
-        match shot.filter {
-            Filter::Point => {
-                primary = 1;
-                passes.push(Pass {
-                    name: "primary hits",
-                    kernel: Kernel::PrimaryHits,
-                    domain: Domain::Pixels,
-                    writes: vec![Plan::HITS, Plan::EMISSION],
-                    runs: if still && !facts.moving_lights { Runs::Once } else { Runs::Always },
-                });
-                if shot.effort > 1 {
-                    skipped.push(Skip {
-                        what: "primary rays after a pixel's first sample",
-                        because: "the filter is a point",
-                    });
-                }
-                if still && !facts.moving_lights {
-                    skipped.push(Skip {
-                        what: "primary rays after the first frame",
-                        because: "nothing moves",
-                    });
-                }
-                passes.push(Pass {
-                    name: "paths",
-                    kernel: Kernel::Technique(0),
-                    domain: Domain::Pixels,
-                    writes: vec![Plan::RADIANCE],
-                    runs: Runs::Always,
-                });
-            }
-            Filter::Box => passes.push(Pass {
-                name: "paths",
-                kernel: Kernel::Technique(0),
-                domain: Domain::Pixels,
-                writes: vec![Plan::RADIANCE, Plan::EMISSION],
-                runs: Runs::Always,
-            }),
-        }
+        let bounces = u64::from(shot.depth.saturating_sub(1)) * samples;
         let sampled = match self.lights {
             LightSampling::None => 0,
             LightSampling::One => u64::from(facts.light_count().min(1)),
             LightSampling::All => u64::from(facts.light_count()),
         };
+        let paths =
+            |writes| NewPass::pixels("paths", 0, writes).rays(bounces, bounces * sampled, 0);
+        match shot.filter {
+            Filter::Point => {
+                if shot.effort > 1 {
+                    plan.skip("primary rays after a pixel's first sample", "the filter is a point");
+                }
+                plan.primary_hits();
+                plan.pass(paths(vec![Plan::RADIANCE]));
+            }
+            Filter::Box => {
+                let mut pass = paths(vec![Plan::RADIANCE, Plan::EMISSION]);
+                pass.rays[0] = samples;
+                plan.pass(pass);
+            }
+        }
         if self.lights != LightSampling::None && sampled == 0 {
-            skipped.push(Skip { what: "light sampling", because: "no light emits anything" });
+            plan.skip("light sampling", "no light emits anything");
         }
-        if !facts.alpha {
-            skipped.push(Skip {
-                what: "coverage lookups at every hit",
-                because: "no surface has a coverage mask",
-            });
-        }
+        plan.skip_coverage();
         if facts.lights.environments == 0 {
-            skipped.push(Skip { what: "environment lookups", because: "there is no environment" });
+            plan.skip("environment lookups", "there is no environment");
         }
-        let claim = if self.lights == LightSampling::None && facts.lights.delta > 0 {
+        plan.finish(if self.lights == LightSampling::None && facts.lights.delta > 0 {
             Claim::Biased("BSDF sampling never finds point, spot and distant lights".into())
         } else {
             Claim::Unbiased
-        };
-        Plan {
-            technique: self.spec(),
-            passes,
-            buffers: Plan::standard_buffers(),
-            skipped,
-            rays_per_pixel: [primary, bounces * samples, bounces * samples * sampled, 0],
-            constants: Vec::new(),
-            emitters: false,
-            claim,
-        }
+        })
     }
 
     fn twin(&self, _kernel: u32, _plan: &Plan) -> Option<Twin> {

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
+use afterimage::counters::Counters;
 use afterimage::frame::{FrameLoop, Stage};
-use afterimage::path::Counters;
 use afterimage::plan::{Filter, Shot};
 use afterimage::scene::{Curve, Interpolation, LightKind, Scene, Track, Transform};
 use afterimage::techniques::{REGISTRY, parse};

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
+use afterimage::counters::Counters;
 use afterimage::frame::{FrameLoop, Stage};
-use afterimage::path::Counters;
 use afterimage::plan::{Filter, Shot};
 use afterimage::scene::{
     Channel, Color, ConductorColor, Geometry, LightKind, Material, MaterialId, Roughness, Scalar,
@@ -212,7 +212,7 @@ fn primary_rays_of_a_still_scene_are_traced_once() {
         assert_eq!(primary(&still, point), [pixels, 0, 0]);
         assert_eq!(primary(&moving, point), [pixels; 3]);
         // Each of a pixel's two samples has a ray of its own, unless a pixel's reservoir belongs to one surface.
-        let each = parse(entry.name).unwrap().plan(still.facts(), &boxed).rays_per_pixel[0];
+        let each = parse(entry.name).unwrap().plan(still.facts(), &boxed).rays_per_pixel()[0];
         assert!(each == 2 || entry.name.contains("ris") || entry.name.contains("restir"));
         assert_eq!(primary(&still, boxed), [each * pixels; 3]);
     }

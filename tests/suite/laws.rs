@@ -6,11 +6,10 @@ use std::sync::Arc;
 
 use afterimage::accel::Ray;
 use afterimage::frame::{FrameLoop, Stage};
+use afterimage::pass::{Band, Buffer, FrameInputs, MAX_WRITES, PrimaryHit, TileGrid};
 use afterimage::plan::{BufferPlan, Claim, Domain, Elements, Filter, Kernel, Plan, Runs, Shot};
 use afterimage::scene::{LightKind, Scalar, Scene};
-use afterimage::techniques::{
-    Band, Buffer, FrameInputs, MAX_WRITES, PrimaryHit, REGISTRY, Technique, parse,
-};
+use afterimage::techniques::{REGISTRY, Technique, parse};
 use glam::{Affine3A, Vec3};
 
 use crate::support::{bits, environment, light, room, shot};
@@ -52,8 +51,8 @@ fn shots() -> Vec<Shot> {
 fn a_spec_gives_the_same_technique_again() {
     for entry in REGISTRY {
         let mut specs = vec![entry.name.to_string()];
-        for parameter in entry.parameters {
-            for value in ["0", "1", "2", "3", "7", "0.5", "true", "false", parameter.default] {
+        for parameter in (entry.parameters)() {
+            for value in ["0", "1", "2", "3", "7", "0.5", "true", "false", &parameter.default] {
                 specs.push(format!("{}:{}={value}", entry.name, parameter.key));
             }
         }
@@ -66,7 +65,7 @@ fn a_spec_gives_the_same_technique_again() {
             assert_eq!(format!("{again:?}"), format!("{technique:?}"), "{spec}");
         }
         assert!(
-            known > 2 * entry.parameters.len(),
+            known > 2 * (entry.parameters)().len(),
             "hardly any value of `{}` was tried",
             entry.name
         );
@@ -78,7 +77,7 @@ fn names_are_unique_and_parameters_described() {
     for (i, entry) in REGISTRY.iter().enumerate() {
         assert!(REGISTRY[..i].iter().all(|other| other.name != entry.name));
         assert!(!entry.about.is_empty());
-        for parameter in entry.parameters {
+        for parameter in (entry.parameters)() {
             assert!(!parameter.about.is_empty() && !parameter.default.is_empty());
         }
     }
@@ -110,7 +109,7 @@ fn counters_stay_within_the_plan_and_buffers_within_reason() {
                         entry.name,
                         stage.scene().name
                     );
-                    let most = plan.rays_per_pixel.map(|rays| rays * shot.pixels() as u64);
+                    let most = plan.rays_per_pixel().map(|rays| rays * shot.pixels() as u64);
                     assert!(work.primary_rays <= most[0], "{at}");
                     assert!(work.bounce_rays <= most[1], "{at}");
                     assert!(work.shadow_rays <= most[2], "{at}");
@@ -123,7 +122,24 @@ fn counters_stay_within_the_plan_and_buffers_within_reason() {
     }
 }
 
-/// Runs a plan's passes over single pixels in bands of `rows` rows, in reverse order, without the frame loop.
+/// Rows or items at which a domain may be cut, about `rows` apart: anywhere, but for tiles only
+/// where one begins.
+fn cuts(domain: Domain, shot: Shot, rows: u32) -> (Vec<u32>, Option<TileGrid>) {
+    let height = shot.size[1];
+    match domain {
+        Domain::Pixels => ((0..height).step_by(rows as usize).collect(), None),
+        Domain::Items(n) => ((0..n).step_by(7 * rows as usize).collect(), None),
+        Domain::Tiles { width, height: down, grid } => {
+            let size = [width, down];
+            let origin = grid.origin(size, shot.run, 0);
+            let step = down * rows.div_ceil(down);
+            let starts = (0..height).filter(|&row| row == 0 || (row + origin[1]) % step == 0);
+            (starts.collect(), Some(TileGrid { size, origin }))
+        }
+    }
+}
+
+/// Runs a plan's passes in bands of about `rows` rows, in reverse order, without the frame loop.
 fn in_bands(technique: &dyn Technique, stage: &Stage, shot: Shot, rows: u32) -> Vec<[u32; 3]> {
     let world = stage.first_world();
     let plan = technique.plan(stage.facts(), &shot);
@@ -132,8 +148,11 @@ fn in_bands(technique: &dyn Technique, stage: &Stage, shot: Shot, rows: u32) -> 
         .buffers
         .iter()
         .map(|buffer| {
-            assert_eq!(buffer.elements, Elements::Pixels);
-            let words = vec![0; shot.pixels() * buffer.bytes as usize / 4];
+            let elements = match buffer.elements {
+                Elements::Pixels => shot.pixels(),
+                Elements::Items(n) => n as usize,
+            };
+            let words = vec![0; elements * buffer.bytes as usize / 4];
             Buffer { previous: Vec::new(), current: words }
         })
         .collect();
@@ -142,7 +161,6 @@ fn in_bands(technique: &dyn Technique, stage: &Stage, shot: Shot, rows: u32) -> 
         world.prepare_emitters().unwrap();
     }
     for pass in plan.passes.iter().filter(|pass| pass.runs != Runs::WithHistory) {
-        assert_eq!(pass.domain, Domain::Pixels, "another domain needs a test of its own");
         let mut owned: Vec<Vec<u32>> =
             pass.writes.iter().map(|id| std::mem::take(&mut buffers[id.0].current)).collect();
         let inputs = FrameInputs {
@@ -167,15 +185,23 @@ fn in_bands(technique: &dyn Technique, stage: &Stage, shot: Shot, rows: u32) -> 
                 }
             }
             Kernel::Technique(kernel) => {
-                let starts: Vec<u32> = (0..height).step_by(rows as usize).collect();
-                for &start in starts.iter().rev() {
-                    let range = start..(start + rows).min(height);
+                let (starts, tiles) = cuts(pass.domain, shot, rows);
+                let (end, across) = match pass.domain {
+                    Domain::Items(n) => (n, 1),
+                    _ => (height, width),
+                };
+                for (at, &start) in starts.iter().enumerate().rev() {
+                    let range = start..starts.get(at + 1).copied().unwrap_or(end);
                     let mut slots: [&mut [u32]; MAX_WRITES] = Default::default();
                     for ((slot, words), id) in slots.iter_mut().zip(&mut owned).zip(&pass.writes) {
-                        let row = width as usize * plan.buffers[id.0].bytes as usize / 4;
+                        let row = across as usize * plan.buffers[id.0].bytes as usize / 4;
                         *slot = &mut words[range.start as usize * row..range.end as usize * row];
                     }
-                    technique.run(kernel, &inputs, &mut Band::new(range, width, slots));
+                    let mut band = Band::new(range, across, &pass.writes, slots);
+                    if let Some(tiles) = tiles {
+                        band = band.with_tiles(tiles);
+                    }
+                    technique.run(kernel, &inputs, &mut band);
                 }
             }
         }
@@ -191,14 +217,16 @@ fn in_bands(technique: &dyn Technique, stage: &Stage, shot: Shot, rows: u32) -> 
 fn how_the_picture_is_cut_into_bands_changes_no_bit() {
     for scene in scenes() {
         let stage = Stage::new(scene).unwrap();
-        for entry in REGISTRY {
+        // With light points made ahead and a pass over tiles of pixels, too.
+        let specs = REGISTRY.iter().map(|entry| entry.name);
+        for spec in specs.chain(["restir-di:tiles=on,boiling=0.5"]) {
             for shot in shots() {
-                let technique = parse(entry.name).unwrap();
+                let technique = parse(spec).unwrap();
                 let mut frame_loop =
-                    FrameLoop::new(Arc::from(parse(entry.name).unwrap()), &stage, shot).unwrap();
+                    FrameLoop::new(Arc::from(parse(spec).unwrap()), &stage, shot).unwrap();
                 let whole = bits(&frame_loop.render().unwrap().picture());
                 for rows in [1, 5, 13] {
-                    assert_eq!(whole, in_bands(&*technique, &stage, shot, rows), "{}", entry.name);
+                    assert_eq!(whole, in_bands(&*technique, &stage, shot, rows), "{spec}");
                 }
             }
         }

@@ -9,6 +9,7 @@ const TABLE: &[(&str, &[&str])] = &[
     ("error", &[]),
     ("twin", &[]),
     ("math", &[]),
+    ("counters", &[]),
     ("stats", &["math"]),
     ("picture", &["math"]),
     ("metrics", &["picture", "stats", "math"]),
@@ -17,18 +18,42 @@ const TABLE: &[(&str, &[&str])] = &[
     ("surface", &["accel", "scene", "math"]),
     ("light", &["surface", "accel", "scene", "math"]),
     ("world", &["light", "surface", "accel", "scene", "math"]),
-    ("path", &["world", "light", "surface", "accel", "scene", "math"]),
+    ("path", &["counters", "world", "light", "surface", "accel", "scene", "math"]),
     ("resampling", &["math"]),
-    ("direct", &["resampling", "path", "world", "light", "surface", "accel", "scene", "math"]),
-    ("gpu", &["direct", "resampling", "world", "light", "surface", "accel", "scene", "math"]),
+    ("spec", &[]),
     ("plan", &["resampling", "world", "light", "surface", "scene", "math"]),
+    ("pass", &["plan", "world", "light", "surface", "accel", "scene", "math"]),
+    (
+        "reuse",
+        &[
+            "spec",
+            "pass",
+            "plan",
+            "resampling",
+            "path",
+            "counters",
+            "world",
+            "light",
+            "surface",
+            "accel",
+            "scene",
+            "math",
+        ],
+    ),
+    (
+        "gpu",
+        &["reuse", "resampling", "counters", "world", "light", "surface", "accel", "scene", "math"],
+    ),
     (
         "techniques",
         &[
+            "spec",
+            "pass",
             "plan",
-            "direct",
+            "reuse",
             "resampling",
             "path",
+            "counters",
             "world",
             "light",
             "surface",
@@ -42,10 +67,13 @@ const TABLE: &[(&str, &[&str])] = &[
         &[
             "gpu",
             "techniques",
+            "spec",
+            "pass",
             "plan",
-            "direct",
+            "reuse",
             "resampling",
             "path",
+            "counters",
             "world",
             "light",
             "surface",
@@ -55,7 +83,7 @@ const TABLE: &[(&str, &[&str])] = &[
             "picture",
         ],
     ),
-    ("report", &["metrics", "picture", "stats", "math", "plan", "path"]),
+    ("report", &["metrics", "picture", "stats", "math", "plan", "counters"]),
     (
         "cli",
         &[
@@ -63,9 +91,11 @@ const TABLE: &[(&str, &[&str])] = &[
             "frame",
             "gpu",
             "techniques",
-            "direct",
+            "reuse",
+            "pass",
             "plan",
             "path",
+            "counters",
             "world",
             "light",
             "surface",
@@ -90,14 +120,17 @@ fn sources(folder: &Path, out: &mut Vec<PathBuf>) {
     }
 }
 
-/// Every `crate::name` of a source with its line number; test modules may use anything.
+/// Every `crate::name` of a source with its line number; items that only tests see may use anything.
 fn imports(text: &str) -> Vec<(usize, String)> {
     let mut found = Vec::new();
-    for (number, line) in text.lines().enumerate() {
-        if line.trim_start().starts_with("#[cfg(test)]") {
-            break;
+    let mut lines = text.lines().enumerate();
+    while let Some((number, line)) = lines.next() {
+        let trimmed = line.trim_start();
+        if trimmed.starts_with("#[cfg(test)]") || trimmed.starts_with("#[cfg(all(test") {
+            skip_item(&mut lines, line.len() - trimmed.len());
+            continue;
         }
-        if line.trim_start().starts_with("//") {
+        if trimmed.starts_with("//") {
             continue;
         }
         for part in line.split("crate::").skip(1) {
@@ -115,6 +148,22 @@ fn imports(text: &str) -> Vec<(usize, String)> {
         }
     }
     found
+}
+
+/// Skips the item behind an attribute, by rustfmt's indentation: it ends where a line of the same
+/// indentation ends in `;` or `,`, or begins with `}`.
+fn skip_item<'a>(lines: &mut impl Iterator<Item = (usize, &'a str)>, indent: usize) {
+    for (_, line) in lines {
+        let trimmed = line.trim_start();
+        let outermost = line.len() - trimmed.len() == indent && !trimmed.is_empty();
+        let attribute = trimmed.starts_with("#[") || trimmed.starts_with("//");
+        if outermost
+            && !attribute
+            && (trimmed.starts_with('}') || trimmed.ends_with([';', ',', '}']))
+        {
+            return;
+        }
+    }
 }
 
 fn violations(module: &str, text: &str) -> Vec<String> {
@@ -163,6 +212,32 @@ fn modules_import_only_what_the_table_allows() {
         );
     }
     assert!(failures.is_empty(), "{}", failures.join("\n"));
+}
+
+/// An upward import is found wherever it stands: behind each of a file's test-only items, too.
+#[test]
+fn an_import_behind_test_only_items_is_found() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let mut files = Vec::new();
+    sources(&root, &mut files);
+    let mut planted = 0;
+    for file in files {
+        let text = fs::read_to_string(&file).expect("a source file");
+        let lines: Vec<&str> = text.lines().collect();
+        let attributes = (0..lines.len()).filter(|&at| lines[at] == "#[cfg(test)]");
+        for at in attributes {
+            let mut rest = lines.iter().copied().enumerate().skip(at + 1);
+            skip_item(&mut rest, 0);
+            let end = rest.next().map_or(lines.len(), |(end, _)| end);
+            let mut with = lines.clone();
+            with.insert(end, "use crate::cli::run;");
+            let found = violations("math", &with.join("\n"));
+            let expected = format!("line {}: `math` must not import `cli`", end + 1);
+            assert!(found.contains(&expected), "{}: {found:?}", file.display());
+            planted += 1;
+        }
+    }
+    assert!(planted > 50, "only {planted} places were tried");
 }
 
 #[test]

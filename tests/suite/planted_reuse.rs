@@ -6,16 +6,17 @@
 use std::time::Instant;
 
 use afterimage::accel::{AcceptAll, BuildOptions, Ray};
-use afterimage::direct::{
-    Candidates, LightMeasure, LightPointMutator, LightPoints, Receiver, Time, candidates,
-};
+use afterimage::counters::Counters;
 use afterimage::light::LightPoint;
 use afterimage::math::luminance;
 use afterimage::math::rng::{BLOCK_LIGHT, PathSeeds, RandomSource, Stream, draw4, unit_float};
-use afterimage::path::{Counters, Limits, indirect_radiance, sampled, scattered_radiance};
+use afterimage::path::{Limits, indirect_radiance, sampled, scattered_radiance};
 use afterimage::resampling::{
-    ContributionWeight, Family, Finished, Input, Plain, ShiftMap, Shifted, WithVisibility,
-    metropolis, mutated_weight, spatial,
+    ContributionWeight, Family, Finished, Input, Plain, ShiftMap, Shifted, WithVisibility, merge,
+    metropolis, mutated_weight,
+};
+use afterimage::reuse::light_points::{
+    Candidates, LightMeasure, LightPointMutator, LightPointShift, Receiver, Time, candidates,
 };
 use afterimage::scene::{
     Color, ConductorColor, Geometry, LightKind, Material, Roughness, Scene, Shape,
@@ -151,8 +152,8 @@ fn truth(receiver: &Receiver<'_>, part: Part) -> f64 {
 
 /// Light points with visibility, in both directions or, planted, only towards the pixel; and with the neighbour's own view or the pixel's.
 struct Planted<'a> {
-    seen: LightPoints<'a, AcceptAll, true>,
-    unseen: LightPoints<'a, AcceptAll, false>,
+    seen: LightPointShift<'a, AcceptAll, true>,
+    unseen: LightPointShift<'a, AcceptAll, false>,
     bug: Bug,
     /// Where the neighbour is asked instead.
     wrong: &'a Receiver<'a>,
@@ -212,7 +213,7 @@ type Kept = (Finished<LightPoint, LightMeasure>, f32);
 
 /// A pixel's candidates, with one shadow ray.
 fn initial(receiver: &Receiver<'_>, run: u64, pixel: u32, bug: Bug) -> (Kept, bool) {
-    let from = Candidates { lights: 2, bsdf: 0, rounds: 1, tile: None, surfaces: true };
+    let from = Candidates { lights: 2, bsdf: 0, tile: None, surfaces: true };
     let seeds = PathSeeds::new(run, pixel, 0);
     let counters = &mut Counters::default();
     let chosen = if bug == Bug::SelectionIsPath {
@@ -266,10 +267,10 @@ fn estimate(worlds: &Worlds, run: u64, bug: Bug, part: Part) -> f64 {
         // Two frames of one pixel: constant weights, one receiver.
         let [a, b] = [0, 1].map(|frame| initial(&own, run, frame, bug));
         let mut reservoir = WithVisibility::<Plain<LightPoint>>::default();
-        let mut map = LightPoints::<_, false>::new(&AcceptAll, None);
+        let mut map = LightPointShift::<_, false>::new(&AcceptAll, None);
         let visibility = [a.1, b.1].map(|seen| f32::from(u8::from(seen)));
         let inputs = [a.0, b.0].map(|(finished, target)| Input { finished, target, domain: &own });
-        let merged = spatial(
+        let merged = merge(
             &mut map,
             Family::Constant,
             &inputs[0],
@@ -298,8 +299,8 @@ fn estimate(worlds: &Worlds, run: u64, bug: Bug, part: Part) -> f64 {
         return shown(&a, 1.0);
     }
     let mut map = Planted {
-        seen: LightPoints::new(&AcceptAll, None),
-        unseen: LightPoints::new(&AcceptAll, None),
+        seen: LightPointShift::new(&AcceptAll, None),
+        unseen: LightPointShift::new(&AcceptAll, None),
         bug,
         wrong: &wrong,
         own: std::ptr::from_ref(&own).cast(),
@@ -310,7 +311,7 @@ fn estimate(worlds: &Worlds, run: u64, bug: Bug, part: Part) -> f64 {
     let family = if bug == Bug::OneOverM { Family::Constant } else { Family::Balance };
     let canonical = Input { finished: a.0, target: a.1, domain: &own };
     let mut reservoir = Plain::default();
-    let merged = spatial(&mut map, family, &canonical, others, &mut reservoir, &mut random, |_| ());
+    let merged = merge(&mut map, family, &canonical, others, &mut reservoir, &mut random, |_| ());
     if bug == Bug::StaleTarget && merged.source > 0 {
         return shown(&(merged.finished, merged.target), merged.target / b.1);
     }
@@ -324,7 +325,7 @@ fn estimate(worlds: &Worlds, run: u64, bug: Bug, part: Part) -> f64 {
         let random = &mut Stream::from_key(key);
         let mut reservoir = Plain::default();
         let merged =
-            spatial(&mut map, family, &canonical, &[other][..], &mut reservoir, random, |_| ());
+            merge(&mut map, family, &canonical, &[other][..], &mut reservoir, random, |_| ());
         return shown(&(merged.finished, merged.target), 1.0);
     }
     shown(&(merged.finished, merged.target), 1.0)
@@ -454,9 +455,9 @@ fn weight_error(factor: f32) -> f64 {
             let ((finished, target), _) = initial(receiver, run, pixel, Bug::None);
             Input { finished, target, domain: receiver }
         });
-        let mut map = LightPoints::<_, false>::new(&AcceptAll, None);
+        let mut map = LightPointShift::<_, false>::new(&AcceptAll, None);
         let mut reservoir = Plain::default();
-        let merged = spatial(
+        let merged = merge(
             &mut map,
             Family::Balance,
             &inputs[0],

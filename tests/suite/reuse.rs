@@ -8,19 +8,20 @@
 use std::sync::Arc;
 
 use afterimage::accel::{AcceptAll, BuildOptions, Ray};
-use afterimage::direct::{Receiver, Record, Time};
+use afterimage::counters::Counters;
 use afterimage::frame::{FrameLoop, Stage};
 use afterimage::light::LightPoint;
 use afterimage::math::luminance;
 use afterimage::math::rng::{RandomSource, Stream};
-use afterimage::path::Counters;
+use afterimage::pass::{Band, Buffer, FrameInputs, MAX_WRITES, PrimaryHit};
 use afterimage::picture::Picture;
 use afterimage::plan::{Claim, Filter, Kernel, Plan, Runs, Shot};
+use afterimage::reuse::light_points::{Receiver, Record, Time};
 use afterimage::scene::{Geometry, LightKind, Object, Scene, Shape, Transform};
 use afterimage::stats::{
     Equivalence, Margin, Moments, Verdict, equivalence, ks_two_sample, samples_for_bias, t_test,
 };
-use afterimage::techniques::{Band, Buffer, FrameInputs, MAX_WRITES, PrimaryHit, Technique, parse};
+use afterimage::techniques::{Technique, parse};
 use afterimage::world::World;
 use glam::{Affine3A, Vec2, Vec3};
 use rayon::ThreadPoolBuilder;
@@ -1019,7 +1020,7 @@ fn one_two_and_64_threads_give_the_same_bits_for_every_policy() {
     let course = moving_lights();
     let stage = course.stage();
     let pools = [1, 2, 64].map(|n| ThreadPoolBuilder::new().num_threads(n).build().unwrap());
-    for keys in CONFIGURATIONS.iter().chain(&["preset=interactive"]) {
+    for keys in CONFIGURATIONS.iter().chain(&["visibility=reuse,boiling=0.2,max-age=60"]) {
         for filter in [Filter::Point, Filter::Box] {
             let shot = Shot { filter, ..shot([33, 18], 3, 2) };
             let [one, two, many] = pools.each_ref().map(|pool| {
@@ -1318,7 +1319,7 @@ impl<'a> Bench<'a> {
                     for (slot, words) in slots.iter_mut().zip(&mut owned) {
                         *slot = words;
                     }
-                    let mut band = Band::new(0..height, width, slots);
+                    let mut band = Band::new(0..height, width, &pass.writes, slots);
                     counters = counters + self.technique.run(kernel, &inputs, &mut band);
                 }
             }

@@ -5,8 +5,8 @@
 
 use std::sync::Arc;
 
+use afterimage::counters::Counters;
 use afterimage::frame::{FrameLoop, Stage};
-use afterimage::path::Counters;
 use afterimage::picture::Picture;
 use afterimage::plan::{Filter, Shot};
 use afterimage::scene::{
@@ -609,7 +609,7 @@ const SPECS: [&str; 7] = [
     "ris:tiles=on",
     "restir-di:rounds=2,neighbours=3,mutations=2",
     "restir-di:visibility=wis-cv,boiling=0.5,max-age=3",
-    "restir-di:preset=interactive,decoupled=true",
+    "restir-di:visibility=reuse,boiling=0.2,max-age=60,decoupled=true",
 ];
 
 proptest! {

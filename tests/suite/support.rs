@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
+use afterimage::counters::Counters;
 use afterimage::frame::{FrameLoop, Stage};
 use afterimage::math::Frame;
-use afterimage::path::Counters;
 use afterimage::picture::Picture;
 use afterimage::plan::{Claim, Filter, Shot};
 use afterimage::scene::{

@@ -3,12 +3,15 @@
 use glam::{Vec2, Vec3};
 
 use super::{N, bits, close, device, empty, float, run, run_changed, unit, word};
-use crate::direct::{Control, Reused, pack_average, unpack_average};
 use crate::math::rng::{
     PathSeeds, Purpose, RandomSource, Stream, draw4, path_seed, pcg4d, stream_key,
 };
 use crate::math::{Frame, luminance, octahedral_decode, octahedral_encode, offset_origin, warp};
 use crate::resampling::{Plain, Reservoir, WithVisibility, mutated_weight};
+use crate::reuse::{
+    Control, Reused,
+    policy::{pack_average, unpack_average},
+};
 
 fn split(key: u64) -> [u32; 2] {
     [key as u32, (key >> 32) as u32]

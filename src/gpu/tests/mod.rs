@@ -10,9 +10,9 @@ use std::sync::{Arc, OnceLock};
 
 use super::compose::Composed;
 use super::{Gpu, Inputs, Kernel, Lanes, SceneBuffers};
-use crate::direct::VISIBILITY_WGSL;
 use crate::math::rng::{RandomSource, Stream};
 use crate::resampling::RESAMPLING_WGSL;
+use crate::reuse::light_points::VISIBILITY_WGSL;
 use crate::scene::Scene;
 use crate::twin::{Module, Twin};
 use crate::world::World;

@@ -106,7 +106,7 @@ fn facts() -> Vec<SceneFacts> {
 fn specs() -> Vec<String> {
     let mut specs: Vec<String> = REGISTRY.iter().map(|entry| entry.name.to_string()).collect();
     specs.push("nee:lights=all".into());
-    for policy in crate::direct::Visibility::NAMES {
+    for policy in crate::reuse::Visibility::ALL.map(crate::reuse::Visibility::name) {
         specs.push(format!("restir-di:visibility={policy}"));
         specs.push(format!("restir-di:visibility={policy},neighbours=0"));
         specs.push(format!("restir-di:visibility={policy},mutations=2,rounds=3"));
@@ -117,7 +117,7 @@ fn specs() -> Vec<String> {
     for family in crate::resampling::Family::ALL {
         specs.push(format!("restir-di:mis={},temporal-mis={0},neighbours=3", family.name()));
     }
-    specs.push("restir-di:preset=interactive".into());
+    specs.push("restir-di:visibility=reuse,boiling=0.2,max-age=60".into());
     specs.push("restir-di:cap=0".into());
     specs
 }

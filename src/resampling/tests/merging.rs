@@ -5,7 +5,7 @@ use crate::math::rng::{RandomSource, Stream};
 use crate::resampling::mis::weights;
 use crate::resampling::{
     ContributionWeight, Counting, Family, Finished, Input, Merged, Plain, Reservoir, Term,
-    WithVisibility, spatial, temporal,
+    WithVisibility, merge, merge_history,
 };
 use crate::stats::{Enumerator, enumerate_f64, expectation};
 
@@ -61,7 +61,7 @@ fn weights_of_all_families_but_the_constant_one_sum_to_one_over_the_inputs_that_
 
 type Out = Merged<usize, f32, Counting>;
 
-fn merge(
+fn merged(
     map: &Finite,
     family: Family,
     inputs: &[Sample],
@@ -72,8 +72,8 @@ fn merge(
     let inputs: Vec<_> = inputs.iter().zip(&domains).map(|(&f, d)| map.input(f, d)).collect();
     let mut reservoir = Plain::default();
     let (canonical, others) = inputs.split_first().unwrap();
-    let merged = spatial(&mut map.clone(), family, canonical, others, &mut reservoir, random, see);
-    (merged, reservoir)
+    let out = merge(&mut map.clone(), family, canonical, others, &mut reservoir, random, see);
+    (out, reservoir)
 }
 
 /// E[1{Y = y} W] of every canonical state y: equal to its mass, it gives all integrals.
@@ -111,7 +111,7 @@ fn a_merge_is_exact_on_random_domains_with_partial_maps_and_jacobians() {
                     .enumerate()
                     .map(|(domain, &c)| map.initial(domain, (candidates, c), random))
                     .collect();
-                let out = merge(&map, family, &inputs, random, |_| ()).0.finished;
+                let out = merged(&map, family, &inputs, random, |_| ()).0.finished;
                 assert!((out.confidence - confidences.iter().sum::<f32>()).abs() < 1e-5);
                 out
             });
@@ -145,7 +145,7 @@ fn all_terms_together_are_as_exact_as_the_selected_one_if_their_weights_are_know
                 let mut shown = [0.0; 4];
                 // The selection does not matter here.
                 let mut chance = Stream::from_key(1);
-                merge(&map, family, &inputs, &mut chance, |term| {
+                merged(&map, family, &inputs, &mut chance, |term| {
                     let sample = term.shifted.map_or(inputs[0].sample, |s| Some(s.sample));
                     shown[sample.unwrap()] += f64::from(term.contribution);
                 });
@@ -171,7 +171,7 @@ fn an_input_that_cannot_draw_what_its_target_says_is_a_loss() {
     let map = Finite::shared(&[&[1.0, 1.0], &[1.0, 1.0]]);
     let measured = measure(&map, |random| {
         let inputs = [map.initial(0, (1, 1.0), random), certain(1, 1.0, 1.0)];
-        merge(&map, Family::DefensivePairwise, &inputs, random, |_| ()).0.finished
+        merged(&map, Family::DefensivePairwise, &inputs, random, |_| ()).0.finished
     });
     assert_close(measured.iter().sum(), 7.0 / 4.0);
 }
@@ -190,7 +190,7 @@ fn a_merge_weighs_as_the_plain_formulas_say() {
         for family in Family::ALL {
             let mut seen = Vec::new();
             let (merged, reservoir) =
-                merge(&map, family, &inputs, &mut random, |term| seen.push(*term));
+                merged(&map, family, &inputs, &mut random, |term| seen.push(*term));
             let late = matches!(family, Family::InverseCount | Family::Contribution);
             for term in seen {
                 let state = term.shifted.map_or(inputs[0].sample, |s| Some(s.sample)).unwrap();
@@ -222,7 +222,7 @@ fn constant_weights_lose_a_seventh_of_the_one_over_m_toy() {
         for candidates in [1, 2] {
             let measured = measure(&map, |random| {
                 let inputs = [0, 1].map(|domain| map.initial(domain, (candidates, 1.0), random));
-                merge(&map, family, &inputs, random, |_| ()).0.finished
+                merged(&map, family, &inputs, random, |_| ()).0.finished
             });
             let sum = |f: [f64; 4]| measured.iter().zip(f).map(|(m, f)| m * f).sum::<f64>();
             let constant = family == Family::Constant;
@@ -247,7 +247,7 @@ fn a_failed_shift_keeps_its_domain() {
             let other = certain(state, 1.0 / [law, 1.0 - law][state], 1.0);
             let inputs = [certain(own, 2.0, 1.0), other];
             let accepted = if drop(own, state) { 1 } else { 2 };
-            merge(&map, family, &inputs[..accepted], random, |_| ()).0.finished
+            merged(&map, family, &inputs[..accepted], random, |_| ()).0.finished
         })
         .iter()
         .sum::<f64>()
@@ -292,7 +292,7 @@ fn without_anything_to_merge_the_canonical_comes_out_bit_for_bit() {
         let inputs: Vec<Sample> = [&[own], others].concat();
         let total: f32 = own.confidence + others.iter().map(|o| o.confidence).sum::<f32>();
         for family in Family::ALL {
-            let out = merge(&map, family, &inputs, &mut random, |_| ()).0;
+            let out = merged(&map, family, &inputs, &mut random, |_| ()).0;
             assert_eq!(out.finished.confidence, total);
             if family == Family::Constant && total > own.confidence {
                 assert!(out.finished.weight.get() < own.weight.get(), "the control");
@@ -319,7 +319,7 @@ fn a_canonical_of_any_numbers_comes_out_bit_for_bit() {
         let own = certain(0, any(0.1), any(0.1));
         let inputs = [own, certain(0, any(0.1), any(0.1)), Finished::empty(any(0.1))];
         for family in Family::ALL.into_iter().filter(|f| f.partitions_unity()) {
-            let out = merge(&map, family, &inputs, &mut random, |_| ()).0.finished;
+            let out = merged(&map, family, &inputs, &mut random, |_| ()).0.finished;
             assert_eq!((out.sample, out.weight), (own.sample, own.weight), "{family:?}");
         }
     }
@@ -331,12 +331,12 @@ fn an_empty_canonical_takes_what_a_neighbour_has_and_sums_confidences() {
     let mut random = Stream::from_key(3);
     for family in Family::ALL {
         let inputs = [Finished::empty(2.0), certain(1, 2.0, 1.0)];
-        let out = merge(&map, family, &inputs, &mut random, |_| ()).0;
+        let out = merged(&map, family, &inputs, &mut random, |_| ()).0;
         let mis = weights(family, &[2.0, 1.0], &[1.0, 1.0])[1];
         assert_eq!((out.finished.sample, out.finished.confidence, out.source), (Some(1), 3.0, 1));
         assert_close(out.finished.weight.get().into(), (2.0 * mis).into());
         let inputs = [Finished::empty(2.0), Finished::empty(1.0)];
-        let out = merge(&map, family, &inputs, &mut random, |_| ()).0;
+        let out = merged(&map, family, &inputs, &mut random, |_| ()).0;
         assert_eq!((out.finished, out.target), (Finished::empty(3.0), 0.0));
     }
 }
@@ -349,7 +349,7 @@ fn temporal_caps_the_confidence_and_nothing_else() {
         enumerate_f64(|random| {
             let inputs = [map.input(own, &0), map.input(before, &1)];
             let family = Family::Balance;
-            let out = temporal(
+            let out = merge_history(
                 map,
                 (family, cap),
                 &inputs[0],
@@ -379,7 +379,7 @@ fn the_average_visibility_of_a_merge_is_that_of_its_weights() {
     let inputs: [Input<'_, _, _, _>; 2] =
         [map.input(certain(0, 2.0, 1.0), &0), map.input(certain(1, 2.0, 3.0), &1)];
     let mut reservoir = WithVisibility::<Plain<usize>>::default();
-    let out = spatial(
+    let out = merge(
         &mut map,
         Family::Balance,
         &inputs[0],

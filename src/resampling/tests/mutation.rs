@@ -4,8 +4,8 @@ use super::laws::{Ring, metropolis_rule};
 use super::{Finite, Sample, assert_close, is_close};
 use crate::math::rng::{RandomSource, Stream};
 use crate::resampling::{
-    Chain, Counting, Family, Finished, Mutator, Plain, metropolis, mutated_weight, spatial,
-    temporal,
+    Chain, Counting, Family, Finished, Mutator, Plain, merge, merge_history, metropolis,
+    mutated_weight,
 };
 use crate::stats::{Enumerator, enumerate_f64, expectation};
 
@@ -154,7 +154,7 @@ fn mutations_between_reuses_keep_a_merge_exact() {
             });
             let inputs = [map.input(samples[0], &0), map.input(samples[1], &1)];
             let mut plain = Plain::default();
-            let out = spatial(
+            let out = merge(
                 &mut map.clone(),
                 family,
                 &inputs[0],
@@ -194,14 +194,14 @@ fn squared_error(cap: f32, frames: u32) -> f64 {
                     let inputs = [fresh[i], before[i]].map(|f| maps[i].input(f, &0));
                     let how = (Family::Balance, cap);
                     let (map, reservoir) = (&mut maps[i].clone(), &mut Plain::default());
-                    temporal(map, how, &inputs[0], &inputs[1], reservoir, &mut random, |_| ())
+                    merge_history(map, how, &inputs[0], &inputs[1], reservoir, &mut random, |_| ())
                         .finished
                 }
             });
             let merged = [0, 1].map(|i| {
                 let inputs = [maps[i].input(now[i], &0), maps[i].input(now[1 - i], &1)];
                 let (map, reservoir) = (&mut maps[i].clone(), &mut Plain::default());
-                spatial(
+                merge(
                     map,
                     Family::Balance,
                     &inputs[0],

@@ -7,7 +7,7 @@ use crate::math::rng::Stream;
 use crate::resampling::mis::{Pairwise, balance, share, weights};
 use crate::resampling::{
     ContributionWeight, Counting, Family, Finished, Input, Plain, Reservoir, ShiftMap, Shifted,
-    WithVisibility, spatial,
+    WithVisibility, merge,
 };
 
 /// Mostly anything in [1e-38, 1e38], sometimes 0 or 1.
@@ -109,7 +109,7 @@ proptest! {
             let mut random = Stream::from_key(key);
             let mut asked = 0;
             let mut infinite = 0;
-            let out = spatial(&mut Told(&neighbours), family, &canonical, others.as_slice(), &mut reservoir, &mut random, |term| {
+            let out = merge(&mut Told(&neighbours), family, &canonical, others.as_slice(), &mut reservoir, &mut random, |term| {
                 asked += 1;
                 infinite += u32::from(!term.weight.is_finite());
                 ((), 0.5)
@@ -197,7 +197,7 @@ fn a_weight_that_is_not_a_number_is_counted() {
     let mut reservoir = Plain::default();
     let mut random = Stream::from_key(1);
     let mut map = Told(&neighbours);
-    spatial(
+    merge(
         &mut map,
         Family::Balance,
         &canonical,

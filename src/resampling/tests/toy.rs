@@ -15,7 +15,7 @@ use crate::math::rng::{RandomSource, Stream};
 use crate::resampling::{
     ControlVariate, Counting, Decoupled, DecoupledState, Estimator, Family, Finished, Identity,
     Input, Plain, Reservoir, Selected, SelectedState, WeightedVisibility, WithRadiance,
-    WithVisibility, spatial, temporal,
+    WithVisibility, merge, merge_history,
 };
 use crate::stats::{Moments, detectable_bias, holm, t_test};
 
@@ -170,7 +170,7 @@ impl Frame<'_> {
         let mut map = self.map();
         let mut reservoir = Averaging::default();
         let averages = [fresh.average, past.average];
-        let merged = temporal(
+        let merged = merge_history(
             &mut map,
             (Family::Constant, CAP),
             &self.input(&at, fresh),
@@ -201,7 +201,7 @@ impl Frame<'_> {
         let other = if random.index(2) == 0 { left.or(right) } else { right.or(left) };
         let Some(other) = other else { return own };
         let mut reservoir = Averaging::default();
-        let merged = spatial(
+        let merged = merge(
             &mut self.map(),
             family,
             &self.input(&at, &own),

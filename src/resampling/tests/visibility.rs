@@ -8,7 +8,7 @@ use crate::math::rng::RandomSource;
 use crate::resampling::{
     Claim, Conditions, ContributionWeight, ControlVariate, Counting, Decoupled, DecoupledState,
     Estimator, Family, Finished, Identity, Input, Plain, Reservoir, Selected, SelectedState,
-    WeightedVisibility, WithRadiance, WithVisibility, metropolis, mutated_weight, spatial,
+    WeightedVisibility, WithRadiance, WithVisibility, merge, metropolis, mutated_weight,
 };
 use crate::stats::{Enumerator, enumerate_f64, expectation};
 
@@ -96,7 +96,7 @@ impl Pixel {
         }
         let inputs: Vec<_> = others.iter().map(input).collect();
         let mut reservoir = Averaging::default();
-        let merged = spatial(
+        let merged = merge(
             &mut map,
             family,
             &input(self),

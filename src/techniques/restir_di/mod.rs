@@ -21,207 +21,93 @@ mod kernels;
 mod plan;
 mod twin;
 
-use crate::direct::{REUSE_AGE, REUSE_DISTANCE, Visibility};
+use crate::counters::Counters;
 use crate::error::{Error, Result};
-use crate::path::Counters;
-use crate::plan::{Claim, Filter, Plan, SceneFacts, Shot};
+use crate::pass::{Band, FrameInputs};
+use crate::plan::{Claim, Plan, SceneFacts, Shot};
 use crate::resampling::{
     Conditions, ControlVariate, Decoupled, Estimator, Family, Selected, WeightedVisibility,
 };
-use crate::techniques::{Band, Entry, FrameInputs, Parameter, Technique, Twin, Values};
+use crate::reuse::light_points::Record;
+use crate::reuse::parameters::reuse_rows;
+use crate::reuse::passes::Keys;
+use crate::reuse::policy::StoredOutcome;
+use crate::reuse::{REUSE_AGE, REUSE_DISTANCE, Settings, SpatialUse, Taps, Visibility};
+use crate::spec::{self, Choice, Row, row};
+use crate::techniques::{Entry, Technique, Twin};
 
-/// Most neighbours a round.
-pub const MAX_NEIGHBOURS: usize = 8;
-/// Pixels for each light point made ahead, and lights from which that pays.
-const PIXELS_A_TILE_ENTRY: usize = 4;
-const LIGHTS_FOR_TILES: u32 = 1000;
-/// Width and height in pixels of the blocks that share a tile of light points.
-const TILE_BLOCK: u32 = 8;
-/// Width and height in pixels of the boiling filter's tiles.
-const BOILING_TILE: u32 = 16;
+/// The rows of `ris`; `restir-di` has all of [`rows`].
+fn rows_of_ris() -> Vec<Row<RestirDi>> {
+    vec![
+        row!(
+            RestirDi,
+            "candidates",
+            candidates: 0..=1024,
+            "light samples a pixel and frame at effort 1; more is less noise for more time"
+        ),
+        row!(
+            RestirDi,
+            "bsdf",
+            bsdf: 0..=64,
+            "BSDF samples a pixel and frame at effort 1; they find large lights on glossy surfaces, a ray each"
+        ),
+        row!(RestirDi, "tiles", choice tiles: LightTiles, "light points made ahead in tiles that fit the cache"),
+        row!(
+            RestirDi,
+            "roulette",
+            roulette_after: 0..=1000,
+            "of the other light: scatterings before Russian roulette may end a path"
+        ),
+    ]
+}
 
-const PARAMETERS: &[Parameter] = &[
-    Parameter {
-        key: "preset",
-        about: "unbiased, or interactive: fewer rays and no blinking, biased; other keys override it",
-        default: "unbiased",
-    },
-    CANDIDATES,
-    BSDF,
-    TILES_KEY,
-    Parameter {
-        key: "cap",
-        about: "frames of history that count, in [0, 250] (Bitterli et al. 2020: 20); 0 is no temporal reuse; higher is less noise, slower reaction and more correlation",
-        default: "20",
-    },
-    Parameter {
-        key: "temporal-mis",
-        about: "weights of the temporal merge: constant, inverse-count, contribution, balance, pairwise, defensive",
-        default: "balance",
-    },
-    Parameter {
-        key: "neighbours",
-        about: "pixels asked a round, in [0, 8]; 0 is no spatial reuse; more is less noise for more time",
-        default: "1",
-    },
-    Parameter {
-        key: "radius",
-        about: "how far away they are at most, in pixels, in [1, 1000]; more is less correlation, and more neighbours that do not fit",
-        default: "16",
-    },
-    Parameter { key: "rounds", about: "rounds of spatial reuse, in [1, 8]", default: "1" },
-    Parameter {
-        key: "mis",
-        about: "weights of the spatial merge: constant (biased), inverse-count, contribution, balance, pairwise, defensive",
-        default: "defensive",
-    },
-    Parameter {
-        key: "visibility",
-        about: "what is done with shadow rays: trace, in-target, bitterli (biased), reuse, wis, wis-cv",
-        default: "in-target",
-    },
-    Parameter {
-        key: "visibility-age",
-        about: "with visibility=reuse, frames that a stored outcome may be old, in [0, 255]; 255 is any number",
-        default: "4",
-    },
-    Parameter {
-        key: "visibility-distance",
-        about: "with visibility=reuse, pixels that a stored outcome may come from, in [0, 127]; 0 is unbiased in still scenes",
-        default: "16",
-    },
-    Parameter {
-        key: "mutations",
-        about: "moves of the light point between temporal and spatial reuse, in [0, 64] (Sawhney et al. 2024); more is less correlation for more time",
-        default: "0",
-    },
-    Parameter {
-        key: "large-steps",
-        about: "share of mutations that draw another light, in [0, 1]; the others move on the same one",
-        default: "0.3",
-    },
-    Parameter {
-        key: "decoupled",
-        about: "true: shade with all inputs of the last merge instead of the selected one; less noise in colour for a ray a neighbour",
-        default: "false",
-    },
-    Parameter {
-        key: "boiling",
-        about: "strength in [0, 1] of a filter that drops bright reservoirs; 0 is off; biased",
-        default: "0",
-    },
-    Parameter {
-        key: "max-age",
-        about: "frames after which a sample is dropped, in [0, 255]; 0 is never; biased",
-        default: "0",
-    },
-    ROULETTE,
-];
-
-const CANDIDATES: Parameter = Parameter {
-    key: "candidates",
-    about: "light samples a pixel and frame at effort 1, in [0, 1024]; more is less noise for more time",
-    default: "8",
-};
-const BSDF: Parameter = Parameter {
-    key: "bsdf",
-    about: "BSDF samples a pixel and frame at effort 1, in [0, 64]; they find large lights on glossy surfaces, a ray each",
-    default: "1",
-};
-const TILES_KEY: Parameter = Parameter {
-    key: "tiles",
-    about: "light points made ahead in tiles that fit the cache: auto, on, off",
-    default: "auto",
-};
-const ROULETTE: Parameter = Parameter {
-    key: "roulette",
-    about: "of the other light: scatterings before Russian roulette may end a path, in [0, 1000]",
-    default: "5",
-};
+fn rows() -> Vec<Row<RestirDi>> {
+    let mut rows = rows_of_ris();
+    rows.extend(reuse_rows!(RestirDi));
+    rows.extend([
+        row!(
+            RestirDi,
+            "visibility",
+            choice visibility: Visibility,
+            "what is done with shadow rays; bitterli is biased"
+        ),
+        row!(
+            RestirDi,
+            "visibility-age",
+            visibility_age: 0..=255,
+            "with visibility=reuse, frames that a stored outcome may be old; 255 is any number"
+        ),
+        row!(
+            RestirDi,
+            "visibility-distance",
+            visibility_distance: 0..=127,
+            "with visibility=reuse, pixels that a stored outcome may come from; 0 is unbiased in still scenes"
+        ),
+        row!(
+            RestirDi,
+            "large-steps",
+            number large_steps: 0.0..=1.0,
+            "share of mutations that draw another light; the others move on the same one"
+        ),
+    ]);
+    rows
+}
 
 pub(super) const RIS: Entry = Entry {
     name: "ris",
     about: "direct light by resampling many candidates, without reuse (Talbot et al. 2005); other light as nee",
-    parameters: &[Parameter { default: "32", ..CANDIDATES }, BSDF, TILES_KEY, ROULETTE],
+    parameters: || spec::describe(&rows_of_ris(), &RestirDi::ris()),
     build: |values| {
-        let defaults = RestirDi::ris();
-        Ok(Box::new(
-            RestirDi {
-                candidates: values.integer("candidates", defaults.candidates, 0..=1024)?,
-                bsdf: values.integer("bsdf", defaults.bsdf, 0..=64)?,
-                tiles: tiles(values)?,
-                roulette_after: values.integer("roulette", defaults.roulette_after, 0..=1000)?,
-                ..defaults
-            }
-            .validated()?,
-        ))
+        Ok(Box::new(spec::build(RestirDi::ris(), &rows_of_ris(), values)?.validated()?))
     },
 };
 
 pub(super) const RESTIR_DI: Entry = Entry {
     name: "restir-di",
     about: "direct light with samples reused over frames and pixels (Bitterli et al. 2020, Lin et al. 2022); other light as nee",
-    parameters: PARAMETERS,
-    build: |values| {
-        let d = match values.choice("preset", 0, &["unbiased", "interactive"])? {
-            0 => RestirDi::default(),
-            _ => RestirDi::interactive(),
-        };
-        let families = Family::ALL.map(Family::name);
-        let place = |family: Family| Family::ALL.iter().position(|f| *f == family).unwrap_or(0);
-        let name = |policy: Visibility| {
-            Visibility::NAMES.iter().position(|n| *n == policy.name()).unwrap_or(0)
-        };
-        let visibility = values.choice("visibility", name(d.visibility), &Visibility::NAMES)?;
-        let age = values.integer("visibility-age", REUSE_AGE, 0..=255)?;
-        let distance = values.integer("visibility-distance", REUSE_DISTANCE, 0..=127)?;
-        let visibility = match Visibility::NAMES[visibility] {
-            "reuse" => Visibility::Reuse { max_age: age, max_distance: distance },
-            other if (age, distance) != (REUSE_AGE, REUSE_DISTANCE) => {
-                return Err(Error::usage(format!(
-                    "`visibility-age` and `visibility-distance` need `visibility=reuse`, but it is `{other}`"
-                )));
-            }
-            "in-target" => Visibility::InTarget,
-            "bitterli" => Visibility::Bitterli,
-            "wis" => Visibility::Wis,
-            "wis-cv" => Visibility::WisControlVariate,
-            _ => Visibility::Trace,
-        };
-        Ok(Box::new(
-            RestirDi {
-                candidates: values.integer("candidates", d.candidates, 0..=1024)?,
-                bsdf: values.integer("bsdf", d.bsdf, 0..=64)?,
-                tiles: tiles(values)?,
-                cap: values.integer("cap", d.cap, 0..=250)?,
-                temporal_mis: Family::ALL
-                    [values.choice("temporal-mis", place(d.temporal_mis), &families)?],
-                neighbours: values.integer(
-                    "neighbours",
-                    d.neighbours,
-                    0..=MAX_NEIGHBOURS as u32,
-                )?,
-                radius: values.number("radius", d.radius, 1.0..=1000.0)?,
-                rounds: values.integer("rounds", d.rounds, 1..=8)?,
-                mis: Family::ALL[values.choice("mis", place(d.mis), &families)?],
-                visibility,
-                mutations: values.integer("mutations", d.mutations, 0..=64)?,
-                large_steps: values.number("large-steps", d.large_steps, 0.0..=1.0)?,
-                decoupled: values.choice("decoupled", d.decoupled.into(), &["false", "true"])? == 1,
-                boiling: values.number("boiling", d.boiling, 0.0..=1.0)?,
-                max_age: values.integer("max-age", d.max_age, 0..=255)?,
-                roulette_after: values.integer("roulette", d.roulette_after, 0..=1000)?,
-                ..d
-            }
-            .validated()?,
-        ))
-    },
+    parameters: || spec::describe(&rows(), &RestirDi::default()),
+    build: |values| Ok(Box::new(spec::build(RestirDi::default(), &rows(), values)?.validated()?)),
 };
-
-fn tiles(values: &mut Values) -> Result<LightTiles> {
-    let all = [LightTiles::Auto, LightTiles::On, LightTiles::Off];
-    Ok(all[values.choice("tiles", 0, &all.map(LightTiles::name))?])
-}
 
 /// Whether light points are made ahead.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -235,8 +121,10 @@ pub enum LightTiles {
     Off,
 }
 
-impl LightTiles {
-    const fn name(self) -> &'static str {
+impl Choice for LightTiles {
+    const ALL: &'static [Self] = &[Self::Auto, Self::On, Self::Off];
+
+    fn name(self) -> &'static str {
         match self {
             Self::Auto => "auto",
             Self::On => "on",
@@ -245,7 +133,7 @@ impl LightTiles {
     }
 }
 
-/// `ris` and `restir-di`; presets are [`RestirDi::default`] (unbiased) and [`RestirDi::interactive`].
+/// `ris` ([`RestirDi::ris`]) and `restir-di` ([`RestirDi::default`]).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RestirDi {
     /// Whether reservoirs are kept and reused; without it only candidates, visibility and roulette count.
@@ -272,13 +160,23 @@ pub struct RestirDi {
     ///
     /// Higher is less correlation, and more neighbours that do not fit.
     pub radius: f32,
+    /// Which they are.
+    pub taps: Taps,
     /// Rounds of spatial reuse, in [1, 8].
     pub rounds: u32,
     /// Weights of the spatial merge.
     pub mis: Family,
+    /// What becomes of the spatial result.
+    pub spatial: SpatialUse,
     /// What is done with shadow rays. Visibility in the target is the default: of all policies it had the least relmse times time on
     /// `penumbra` and `many-lights:1000` (`docs/results.md`).
     pub visibility: Visibility,
+    /// With [`Visibility::Reuse`], frames that a stored outcome may be old, in [0, 255]; 255 is any number.
+    pub visibility_age: u32,
+    /// With [`Visibility::Reuse`], pixels that a stored outcome may come from, in [0, 127].
+    ///
+    /// 0 is unbiased in still scenes.
+    pub visibility_distance: u32,
     /// Moves of the light point between temporal and spatial reuse, in [0, 64].
     pub mutations: u32,
     /// Share of mutations that draw another light, in [0, 1].
@@ -305,9 +203,13 @@ impl Default for RestirDi {
             temporal_mis: Family::Balance,
             neighbours: 1,
             radius: 16.0,
+            taps: Taps::Random,
             rounds: 1,
             mis: Family::DefensivePairwise,
+            spatial: SpatialUse::Feedback,
             visibility: Visibility::InTarget,
+            visibility_age: REUSE_AGE,
+            visibility_distance: REUSE_DISTANCE,
             mutations: 0,
             large_steps: 0.3,
             decoupled: false,
@@ -319,12 +221,6 @@ impl Default for RestirDi {
 }
 
 impl RestirDi {
-    /// Fewer rays and no blinking, for a small bias: stored visibility, a boiling filter, an age limit.
-    #[must_use]
-    pub fn interactive() -> Self {
-        Self { visibility: Visibility::REUSE, boiling: 0.2, max_age: 60, ..Self::default() }
-    }
-
     /// Candidates only.
     #[must_use]
     pub fn ris() -> Self {
@@ -343,12 +239,20 @@ impl RestirDi {
         Ok(self)
     }
 
-    /// Refuses what contradicts itself.
+    /// Refuses what is out of range or contradicts itself.
     ///
     /// # Errors
-    /// A usage error that names both sides.
+    /// A usage error that names the parameter and what is allowed, or both sides.
     pub fn validate(&self) -> Result<()> {
+        spec::check(&rows(), self)?;
         let Self { candidates, bsdf, cap, neighbours, visibility, decoupled, .. } = *self;
+        let limits = (self.visibility_age, self.visibility_distance);
+        if visibility != Visibility::Reuse && limits != (REUSE_AGE, REUSE_DISTANCE) {
+            return Err(Error::usage(format!(
+                "`visibility-age` and `visibility-distance` need `visibility=reuse`, but it is `{}`",
+                visibility.name()
+            )));
+        }
         if candidates == 0 && bsdf == 0 {
             return Err(Error::usage(
                 "`candidates` and `bsdf` are both 0, but one must be positive",
@@ -377,15 +281,40 @@ impl RestirDi {
         Ok(())
     }
 
+    /// The parameters of the passes of reuse.
+    pub(crate) fn settings(&self) -> Settings {
+        let Self { cap, temporal_mis, neighbours, radius, taps, rounds, mis, spatial, .. } = *self;
+        let Self { decoupled, mutations, boiling, max_age, .. } = *self;
+        Settings {
+            cap,
+            temporal_mis,
+            neighbours,
+            radius,
+            taps,
+            rounds,
+            mis,
+            spatial,
+            decoupled,
+            mutations,
+            boiling,
+            max_age,
+        }
+    }
+
+    /// The limits of [`Visibility::Reuse`].
+    fn limits(&self) -> StoredOutcome {
+        StoredOutcome { max_age: self.visibility_age, max_distance: self.visibility_distance }
+    }
+
     /// What a chain of merges promises on a scene.
     fn conditions(&self, facts: &SceneFacts, shot: &Shot) -> Conditions {
-        let still = is_still(facts, shot);
+        let still = facts.is_still(shot);
         let reuse = self.cap > 0 || self.neighbours > 0;
         let (temporal, spatial) = (self.cap > 0, self.neighbours > 0);
         let own_visibility = match self.visibility {
-            Visibility::Reuse { max_age, max_distance } => {
-                // A stored outcome stays right where nothing moves and it never leaves its pixel.
-                (still || max_age == 0) && (max_distance == 0 || !spatial)
+            // A stored outcome stays right where nothing moves and it never leaves its pixel.
+            Visibility::Reuse => {
+                (still || self.visibility_age == 0) && (self.visibility_distance == 0 || !spatial)
             }
             _ => true,
         };
@@ -425,79 +354,43 @@ impl RestirDi {
     }
 }
 
-/// Whether every frame has the same receivers, lights and occluders.
-fn is_still(facts: &SceneFacts, shot: &Shot) -> bool {
-    !facts.moves() && shot.filter == Filter::Point
-}
-
-/// Numbers of kernels; spatial rounds count from the last one on.
+/// Numbers of the technique's own kernels; those of reuse are [`crate::reuse::passes::kernel`].
 mod kernel {
     pub(super) const RIS: u32 = 0;
     pub(super) const TILES: u32 = 1;
-    pub(super) const INITIAL: u32 = 2;
-    pub(super) const TEMPORAL: u32 = 3;
-    pub(super) const BOILING: u32 = 4;
-    pub(super) const MUTATE: u32 = 5;
-    pub(super) const SHADE: u32 = 6;
-    pub(super) const PATHS: u32 = 7;
-    pub(super) const ALL_PATHS: u32 = 8;
-    pub(super) const SPATIAL: u32 = 16;
+    pub(super) const PATHS: u32 = 2;
+    pub(super) const ALL_PATHS: u32 = 3;
 }
 
-/// Names of buffers.
-mod buffer {
-    pub(super) const NORMALS: &str = "normals";
-    pub(super) const RESERVOIRS: &str = "reservoirs";
-    pub(super) const HISTORY: &str = "history";
-    pub(super) const CONTROLS: &str = "controls";
-    pub(super) const HISTORY_CONTROLS: &str = "history controls";
-    pub(super) const BOUNCE: &str = "bounce";
-    pub(super) const TILES: &str = "light tiles";
+/// Names of the plan's constants.
+mod constant {
+    use crate::plan::Plan;
+
+    pub(super) const BSDF_SAMPLES: &str = "bsdf samples";
+    pub(super) const EMITTING_SURFACES: &str = "emitting surfaces";
+    pub(super) const LIGHT_TILES: &str = "light tiles";
+
+    /// The value of a constant, which every plan with a kernel that asks for it has.
+    pub(super) fn of(plan: &Plan, name: &str) -> u32 {
+        plan.constant(name).expect("the plan fixes what its kernels ask for")
+    }
 }
 
 impl Technique for RestirDi {
     fn spec(&self) -> String {
-        let d = if self.reuse { Self::default() } else { Self::ris() };
-        let mut pairs = Vec::new();
-        let mut add = |key: &str, differs: bool, value: String| {
-            if differs {
-                pairs.push(format!("{key}={value}"));
-            }
-        };
-        add("candidates", self.candidates != d.candidates, self.candidates.to_string());
-        add("bsdf", self.bsdf != d.bsdf, self.bsdf.to_string());
-        add("tiles", self.tiles != d.tiles, self.tiles.name().into());
         if self.reuse {
-            add("cap", self.cap != d.cap, self.cap.to_string());
-            let family = |f: Family| f.name().to_string();
-            add("temporal-mis", self.temporal_mis != d.temporal_mis, family(self.temporal_mis));
-            add("neighbours", self.neighbours != d.neighbours, self.neighbours.to_string());
-            add("radius", self.radius != d.radius, self.radius.to_string());
-            add("rounds", self.rounds != d.rounds, self.rounds.to_string());
-            add("mis", self.mis != d.mis, family(self.mis));
-            let policy = self.visibility;
-            add("visibility", policy.name() != d.visibility.name(), policy.name().into());
-            if let Visibility::Reuse { max_age, max_distance } = policy {
-                add("visibility-age", max_age != REUSE_AGE, max_age.to_string());
-                add(
-                    "visibility-distance",
-                    max_distance != REUSE_DISTANCE,
-                    max_distance.to_string(),
-                );
-            }
-            add("mutations", self.mutations != d.mutations, self.mutations.to_string());
-            add("large-steps", self.large_steps != d.large_steps, self.large_steps.to_string());
-            add("decoupled", self.decoupled != d.decoupled, self.decoupled.to_string());
-            add("boiling", self.boiling != d.boiling, self.boiling.to_string());
-            add("max-age", self.max_age != d.max_age, self.max_age.to_string());
+            spec::write(RESTIR_DI.name, &Self::default(), &rows(), self)
+        } else {
+            spec::write(RIS.name, &Self::ris(), &rows_of_ris(), self)
         }
-        add("roulette", self.roulette_after != d.roulette_after, self.roulette_after.to_string());
-        let name = if self.reuse { RESTIR_DI.name } else { RIS.name };
-        if pairs.is_empty() { name.into() } else { format!("{name}:{}", pairs.join(",")) }
+    }
+
+    fn validate(&self) -> Result<()> {
+        Self::validate(self)
     }
 
     fn plan(&self, facts: &SceneFacts, shot: &Shot) -> Plan {
-        plan::Planner::new(self, facts, shot).plan()
+        plan::plan(self, facts, shot)
     }
 
     fn run(&self, kernel: u32, inputs: &FrameInputs<'_>, band: &mut Band<'_>) -> Counters {
@@ -505,20 +398,58 @@ impl Technique for RestirDi {
     }
 
     fn twin(&self, kernel: u32, plan: &Plan) -> Option<Twin> {
-        Some(self.kernel_twin(kernel, plan))
+        // The twins know one chain of a pixel, random taps and a spatial result that is kept.
+        let one_chain = plan
+            .id(Keys::<Record>::RESERVOIRS)
+            .is_none_or(|id| plan.buffers[id.0].bytes as usize == size_of::<Record>());
+        let known = self.taps == Taps::Random && self.spatial == SpatialUse::Feedback && one_chain;
+        known.then(|| self.kernel_twin(kernel, plan))
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::*;
+    use crate::plan::Filter;
     use crate::techniques::parse;
 
     #[test]
-    fn presets_and_keys_round_trip() {
-        let interactive = parse("restir-di:preset=interactive").unwrap().spec();
-        assert_eq!(interactive, "restir-di:visibility=reuse,boiling=0.2,max-age=60");
-        assert_eq!(parse(&interactive).unwrap().spec(), interactive);
+    fn keys_round_trip() {
+        let spec = "restir-di:visibility=reuse,boiling=0.2,max-age=60";
+        assert_eq!(parse(spec).unwrap().spec(), spec);
         assert_eq!(parse("ris:candidates=4").unwrap().spec(), "ris:candidates=4");
+    }
+
+    /// What a SPEC cannot say a struct must not, either: each is refused with the allowed range.
+    #[test]
+    fn values_out_of_range_are_refused_by_the_loop() {
+        let mut scene = crate::scene::generate("many-lights:3").unwrap();
+        scene.name = "three lights".into();
+        let stage = crate::frame::Stage::new(scene).unwrap();
+        let shot =
+            Shot { size: [2, 2], depth: 2, filter: Filter::Point, run: 1, effort: 1, fps: 30 };
+        let d = RestirDi::default();
+        for (technique, text) in [
+            (RestirDi { rounds: 0, ..d }, "`rounds` is `0`, but must be an integer in [1, 8]"),
+            (
+                RestirDi { neighbours: 64, ..d },
+                "`neighbours` is `64`, but must be an integer in [0, 8]",
+            ),
+            (
+                RestirDi { cap: 100_000, ..d },
+                "`cap` is `100000`, but must be an integer in [0, 250]",
+            ),
+            (
+                RestirDi { radius: f32::NAN, ..d },
+                "`radius` is `NaN`, but must be a number in [1, 1000]",
+            ),
+            (RestirDi { candidates: 0, bsdf: 0, ..d }, "one must be positive"),
+        ] {
+            let error = crate::frame::FrameLoop::new(std::sync::Arc::new(technique), &stage, shot);
+            let error = error.unwrap_err().to_string();
+            assert!(error.contains(text), "{technique:?}: {error}");
+        }
+        crate::frame::FrameLoop::new(std::sync::Arc::new(d), &stage, shot).unwrap();
     }
 
     #[test]

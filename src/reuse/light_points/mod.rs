@@ -6,7 +6,7 @@
 //! | F(y) | f(ωₒ, ω) \|cos\| Lₑ G: the integrand over light points, without visibility; all lobes that are not deltas |
 //! | p̂(y) | luminance of F, times visibility where the policy says so |
 //! | [`LightMeasure`] | area on shapes, solid angle on environments, counting on point, spot and distant lights |
-//! | [`LightPoints`] | the shift: a light point keeps its place on its light; \|∂T\| is the ratio of the light's areas |
+//! | [`LightPointShift`] | the shift: a light point keeps its place on its light; \|∂T\| is the ratio of the light's areas |
 //! | [`Record`] | a finished reservoir as it lies in a buffer: 24 bytes |
 //!
 //! Candidates come from light sampling and from BSDF sampling with one mixture density (balance heuristic). BSDF sampling takes *all* points
@@ -14,26 +14,26 @@
 //! makes the source blind to points that another pixel sees, which biases every reuse of the sample by up to the BSDF's share.)
 
 mod candidates;
-mod control;
+mod domain;
+mod initial;
 mod mutate;
 mod receiver;
 mod record;
 #[cfg(test)]
 mod tests;
-mod visibility;
 
-/// [`Reused`], [`Control`] and averages of visibility in WGSL; needs nothing.
+/// [`Reused`](super::Reused), [`Control`](super::Control) and averages of visibility in WGSL; needs nothing.
 pub const VISIBILITY_WGSL: Module = crate::wgsl!("visibility.wgsl");
 
 /// All of this module in WGSL; needs the scene's.
 pub(crate) const DIRECT_WGSL: Module = crate::wgsl!("direct.wgsl");
 
-use crate::twin::Module;
 pub(crate) use candidates::TILE;
 pub use candidates::{Candidates, Chosen, TileEntry, candidates, fill_tile};
-pub use control::Control;
+pub(crate) use domain::LightPoints;
+pub(crate) use initial::{Sources, TILES};
 pub use mutate::{LightPointMutator, PointState};
-pub use receiver::{LightMeasure, LightPoints, Receiver, Sight, Time};
+pub use receiver::{LightMeasure, LightPointShift, Receiver, Sight, Time};
 pub use record::Record;
-pub use visibility::{REUSE_AGE, REUSE_DISTANCE, Reused, Visibility};
-pub(crate) use visibility::{pack_average, unpack_average};
+
+use crate::twin::Module;

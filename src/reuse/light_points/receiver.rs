@@ -3,9 +3,10 @@
 use glam::Vec3;
 
 use crate::accel::{AcceptAll, Hit, HitFilter};
+use crate::counters::Counters;
 use crate::light::{Arrival, EmitterPoint, LightPoint, LightRemap};
 use crate::math::luminance;
-use crate::path::{Counters, shadow_ray};
+use crate::path::shadow_ray;
 use crate::resampling::{Measure, ShiftMap, Shifted};
 use crate::surface::SurfacePoint;
 use crate::world::World;
@@ -123,7 +124,7 @@ impl<'a> Receiver<'a> {
 ///
 /// With `IN_TARGET`, the integrand includes visibility: one shadow ray a shift, in the world of the destination.
 #[derive(Debug)]
-pub struct LightPoints<'a, F, const IN_TARGET: bool> {
+pub struct LightPointShift<'a, F, const IN_TARGET: bool> {
     /// Which hits stop a shadow ray now; the previous frame's world brings its own.
     pub filter: &'a F,
     /// Where lights of the other frame are; `None`: at the same place.
@@ -132,7 +133,7 @@ pub struct LightPoints<'a, F, const IN_TARGET: bool> {
     pub counters: Counters,
 }
 
-impl<'a, F: HitFilter, const IN_TARGET: bool> LightPoints<'a, F, IN_TARGET> {
+impl<'a, F: HitFilter, const IN_TARGET: bool> LightPointShift<'a, F, IN_TARGET> {
     /// A map between receivers of this frame and, through `remap`, of the previous one.
     #[inline]
     #[must_use]
@@ -164,7 +165,7 @@ impl<'a, F: HitFilter, const IN_TARGET: bool> LightPoints<'a, F, IN_TARGET> {
     }
 }
 
-impl<'a, F: HitFilter, const IN_TARGET: bool> ShiftMap for LightPoints<'a, F, IN_TARGET> {
+impl<'a, F: HitFilter, const IN_TARGET: bool> ShiftMap for LightPointShift<'a, F, IN_TARGET> {
     type Sample = LightPoint;
     type Domain = Receiver<'a>;
     type Integrand = Vec3;

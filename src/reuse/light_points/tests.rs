@@ -6,11 +6,11 @@ use glam::{Affine3A, Quat, Vec2, Vec3};
 
 use super::*;
 use crate::accel::{AcceptAll, BuildOptions, HitFilter, Ray};
+use crate::counters::Counters;
 use crate::light::{EmitterPoint, LightPoint, LightRemap, NO_LIGHT};
 use crate::math::rng::{
     BLOCK_LIGHT, BLOCK_SCATTER, PathSeeds, RandomSource, Stream, draw4, unit_float,
 };
-use crate::path::Counters;
 use crate::resampling::laws::check_shift;
 use crate::resampling::{
     Finished, Mutator, Plain, Proposal, Reservoir, ShiftMap, Shifted, metropolis, mutated_weight,
@@ -146,8 +146,20 @@ fn light_points_keep_the_laws_of_a_shift_in_one_frame() {
         .map(|at| receiver(&world, at, Time::Now))
         .into();
     let points = points(&world, world.lights.len() as u32);
-    check_shift(&mut LightPoints::<_, false>::new(&AcceptAll, None), &points, &domains, 0.0, near);
-    check_shift(&mut LightPoints::<_, true>::new(&AcceptAll, None), &points, &domains, 0.0, near);
+    check_shift(
+        &mut LightPointShift::<_, false>::new(&AcceptAll, None),
+        &points,
+        &domains,
+        0.0,
+        near,
+    );
+    check_shift(
+        &mut LightPointShift::<_, true>::new(&AcceptAll, None),
+        &points,
+        &domains,
+        0.0,
+        near,
+    );
 }
 
 #[test]
@@ -159,9 +171,9 @@ fn light_points_keep_the_laws_of_a_shift_between_frames() {
         receiver(&now, Vec3::new(0.05, 0.0, 0.0), Time::Now),
     ];
     let points = points(&then, now.lights.len() as u32);
-    let mut map = LightPoints::<_, false>::new(&AcceptAll, Some(&remap));
+    let mut map = LightPointShift::<_, false>::new(&AcceptAll, Some(&remap));
     check_shift(&mut map, &points, &domains, 1e-6, near);
-    let mut map = LightPoints::<_, true>::new(&AcceptAll, Some(&remap));
+    let mut map = LightPointShift::<_, true>::new(&AcceptAll, Some(&remap));
     check_shift(&mut map, &points, &domains, 1e-6, near);
     // What vanished has no image; what came has no origin.
     let gone = LightPoint { light: 4, uv: Vec2::ZERO };
@@ -185,7 +197,7 @@ fn the_jacobian_is_the_ratio_of_what_a_square_of_uv_covers() {
         let d = 1e-3;
         (at(d, 0.0) - at(-d, 0.0)).cross(at(0.0, d) - at(0.0, -d)).length()
     };
-    let mut map = LightPoints::<_, false>::new(&AcceptAll, Some(&remap));
+    let mut map = LightPointShift::<_, false>::new(&AcceptAll, Some(&remap));
     let mut met = vec![0; then.lights.len()];
     let mut omitted = 0.0_f32;
     for mut point in points(&then, then.lights.len() as u32) {
@@ -380,11 +392,10 @@ fn drawn(
             Some(_) => lights.uniform_density(point),
             None => lights.density_towards(point, surface.position, sight.arrival.geometry),
         };
-        let both = (from.lights * from.rounds) as f32 * density
-            + (from.bsdf * from.rounds) as f32 * sight.bsdf_density;
+        let both = from.lights as f32 * density + from.bsdf as f32 * sight.bsdf_density;
         reservoir.stream((point, numbers), sight.target() / both, (), random);
     };
-    for i in 0..from.lights * from.rounds {
+    for i in 0..from.lights {
         if let Some(tile) = from.tile {
             let words = draw4(seeds.seed(first + i / 4 * 4), 0, BLOCK_LIGHT);
             let at = (u64::from(words[i as usize % 4]) * tile.len() as u64) >> 32;
@@ -398,8 +409,8 @@ fn drawn(
         }
     }
     let mut offer = |point: LightPoint| offer(point, lights.emitter(&world.scene, point), false);
-    for i in 0..from.bsdf * from.rounds {
-        let number = first + from.lights * from.rounds + i;
+    for i in 0..from.bsdf {
+        let number = first + from.lights + i;
         let words = draw4(seeds.seed(number), 0, BLOCK_SCATTER);
         let Some(sample) = surface.bsdf.sample(*outgoing, words) else { continue };
         let direction = surface.frame.to_world(sample.wi).normalize();
@@ -487,7 +498,7 @@ fn candidates_have_contribution_weights_on_seen_and_on_occluded_light_points() {
     for (name, material) in [("lambert", lambert()), ("glossy", glossy())] {
         let world = world(scene(material, true));
         let receiver = receiver(&world, Vec3::ZERO, Time::Now);
-        let sources = Candidates { lights: 3, bsdf: 2, rounds: 1, tile: None, surfaces: true };
+        let sources = Candidates { lights: 3, bsdf: 2, tile: None, surfaces: true };
         let found = contribution_weights(&receiver, |run| {
             let seeds = PathSeeds::new(run, 0, 0);
             let mut selection = Stream::from_key(run);
@@ -529,7 +540,7 @@ fn integrals_see_a_jacobian_left_out_or_inverted() {
     let remap = LightRemap::new(&then.lights, &now.lights).unwrap();
     let (before, after) =
         (receiver(&then, Vec3::ZERO, Time::Before), receiver(&now, Vec3::ZERO, Time::Now));
-    let mut map = LightPoints::<_, false>::new(&AcceptAll, Some(&remap));
+    let mut map = LightPointShift::<_, false>::new(&AcceptAll, Some(&remap));
     // Uniform points then have W = measure then; shifted, W |∂T|. E[p̂ W |∂T|] is ∫ p̂ now, by midpoints on both sides.
     for light in [0, 1, 2, 7] {
         let (mut carried, mut left_out, mut inverted, mut truth) = (0.0, 0.0, 0.0, 0.0_f64);
@@ -615,10 +626,8 @@ fn candidates_side_by_side_are_those_of_one_at_a_time() {
             let receiver = receiver(&world, at, Time::Now);
             let numbers = (PathSeeds::new(1, place, 2), 3);
             for tile in [None, Some(tile.as_slice())] {
-                for (lights, bsdf, rounds) in
-                    [(1, 0, 1), (3, 1, 1), (8, 2, 1), (13, 0, 1), (8, 1, 3), (0, 2, 1)]
-                {
-                    let from = Candidates { lights, bsdf, rounds, tile, surfaces: true };
+                for (lights, bsdf) in [(1, 0), (3, 1), (8, 2), (13, 0), (24, 3), (0, 2)] {
+                    let from = Candidates { lights, bsdf, tile, surfaces: true };
                     let stream = Stream::from_key(place.into());
                     let side =
                         candidates(&receiver, &from, numbers, &mut stream.clone(), &mut counters);
@@ -628,7 +637,7 @@ fn candidates_side_by_side_are_those_of_one_at_a_time() {
                     if let (Some(side), Some((point, sum))) = (side, one) {
                         let target = side.sight.target();
                         let one = Finished::from_sum(Some(point), sum, target, 1.0, 1.0);
-                        assert_eq!(side.finish(1.0), one, "{lights}, {bsdf}, {rounds} at {at}");
+                        assert_eq!(side.finish(1.0), one, "{lights}, {bsdf} at {at}");
                         chosen += 1;
                     }
                 }
@@ -666,7 +675,7 @@ fn an_entry_whose_density_underflows_is_dark() {
     let point = LightPoint { light, uv: Vec2::splat(0.25) };
     assert_eq!(world.lights.uniform_density(point), 0.0);
     assert!(receiver.look(point).unwrap().0.target() > 0.0);
-    let from = Candidates { lights: 8, bsdf: 0, rounds: 1, tile: Some(&tile), surfaces: true };
+    let from = Candidates { lights: 8, bsdf: 0, tile: Some(&tile), surfaces: true };
     let numbers = (PathSeeds::new(1, 2, 3), 0);
     let chosen = candidates(&receiver, &from, numbers, &mut Stream::from_key(1), &mut counters);
     assert!(chosen.is_none());

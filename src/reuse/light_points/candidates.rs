@@ -5,11 +5,11 @@ use glam::{Vec2, Vec3};
 use pulp::{Arch, NullaryFnOnce};
 
 use super::{LightMeasure, Receiver, Sight};
-use crate::accel::Ray;
+use crate::accel::{HitFilter, Ray};
+use crate::counters::Counters;
 use crate::light::{EmitterPoint, EmitterPoints, LightPoint, NO_LIGHT};
 use crate::math::rng::{BLOCK_LIGHT, BLOCK_SCATTER, PathSeeds, RandomSource, draw4, unit_float};
 use crate::math::{LANES, Lanes, luminances};
-use crate::path::Counters;
 use crate::resampling::{Finished, Plain, Reservoir};
 use crate::world::World;
 
@@ -53,8 +53,6 @@ pub struct Candidates<'a> {
     pub lights: u32,
     /// BSDF samples; each sees all emitters along its ray.
     pub bsdf: u32,
-    /// How often both are repeated.
-    pub rounds: u32,
     /// Light points made ahead to draw from, instead of from the light table.
     pub tile: Option<&'a [TileEntry]>,
     /// Whether any emitter is a surface, so that BSDF samples need a ray.
@@ -81,7 +79,7 @@ struct Offered {
     drawn: bool,
 }
 
-/// The chosen one of a receiver's candidates, numbered from `first`: wᵢ = p̂(yᵢ) / (rounds · (Mₗ pₗ + Mᵦ pᵦ)), so that W = Σw / p̂(Y). The
+/// The chosen one of a receiver's candidates, numbered from `first`: wᵢ = p̂(yᵢ) / (Mₗ pₗ + Mᵦ pᵦ), so that W = Σw / p̂(Y). The
 /// density of both techniques together stands below the line (balance heuristic; Veach 1997), so it may be asked for candidates of either.
 #[inline(never)] // One call a pixel; every policy's kernel would hold a copy.
 pub fn candidates(
@@ -99,8 +97,7 @@ pub fn candidates(
         // A host may switch off all lights of a scene that was planned with some.
         return None;
     }
-    let shares @ (light_share, bsdf_share) =
-        ((from.lights * from.rounds) as f32, (from.bsdf * from.rounds) as f32);
+    let shares @ (light_share, bsdf_share) = (from.lights as f32, from.bsdf as f32);
     Arch::new().dispatch(LightSamples {
         receiver,
         from,
@@ -109,9 +106,9 @@ pub fn candidates(
         reservoir: &mut reservoir,
         selection,
     });
-    counters.candidates += u64::from(from.lights * from.rounds);
-    for candidate in 0..from.bsdf * from.rounds {
-        let number = first + from.lights * from.rounds + candidate;
+    counters.candidates += u64::from(from.lights);
+    for candidate in 0..from.bsdf {
+        let number = first + from.lights + candidate;
         let words = draw4(seeds.seed(number), 0, BLOCK_SCATTER);
         counters.candidates += 1;
         let Some(sample) = surface.bsdf.sample(*outgoing, words).filter(|s| !s.delta) else {
@@ -175,7 +172,7 @@ impl<R: RandomSource> NullaryFnOnce for LightSamples<'_, '_, R> {
         let Self { receiver, from, numbers: (seeds, first), shares, reservoir, selection } = self;
         let (lights, scene) = (&receiver.world().lights, &*receiver.world().scene);
         let (surface, outgoing) = receiver.surface();
-        let count = from.lights * from.rounds;
+        let count = from.lights;
         for start in (0..count).step_by(LANES) {
             let lanes = LANES.min((count - start) as usize);
             let number = |lane: usize| first + start + lane as u32;
@@ -241,6 +238,18 @@ impl Chosen {
     #[must_use]
     pub fn integrand(&self) -> Vec3 {
         self.sight.integrand
+    }
+
+    /// Whether nothing stands between the receiver and the candidate: one shadow ray.
+    #[inline]
+    #[must_use]
+    pub fn is_seen<F: HitFilter>(
+        &self,
+        receiver: &Receiver<'_>,
+        filter: &F,
+        counters: &mut Counters,
+    ) -> bool {
+        receiver.sees(self.sight.arrival.direction, &self.emitter, filter, counters)
     }
 
     /// The finished reservoir: W = Σw / p̂(Y).

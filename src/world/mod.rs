@@ -1,5 +1,7 @@
 //! A scene at one time, ready to be asked by rays: acceleration structure, light table, shapes.
 
+mod motion;
+
 use std::cell::RefCell;
 use std::sync::{Arc, OnceLock};
 
@@ -10,6 +12,8 @@ use crate::error::Result;
 use crate::light::{LightPoint, Lights};
 use crate::scene::{Geometry, Object, ObjectId, Scene};
 use crate::surface::{AlphaMask, ShapeInfo, SurfacePoint, placed_shapes};
+
+pub use motion::{InstanceRemap, Motion};
 
 /// Everything that a path needs to know of the scene in one frame.
 #[derive(Clone, Debug)]

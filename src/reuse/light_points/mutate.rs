@@ -8,10 +8,10 @@ use glam::{Vec2, Vec3};
 
 use super::Receiver;
 use crate::accel::HitFilter;
+use crate::counters::Counters;
 use crate::light::LightPoint;
 use crate::math::luminance;
 use crate::math::rng::RandomSource;
-use crate::path::Counters;
 use crate::resampling::{Mutator, Proposal};
 
 /// A chain's state: a light point at one receiver.

@@ -1,0 +1,312 @@
+//! Which passes of reuse run, which buffers they have, and which of them a round reads and writes: all
+//! of it once, for plans, kernels and twins.
+
+use super::policy::Policy;
+use super::{Control, SpatialUse, StoredReservoir, boiling};
+use crate::pass::FrameInputs;
+use crate::plan::{BufferId, BufferKey, Builder, Domain, Elements, Grid, NewPass, Plan, Runs};
+use crate::resampling::Family;
+
+use super::parameters::Settings;
+
+/// Packed normals of primary hits.
+pub(crate) const NORMALS: BufferKey<u32> = BufferKey::new("normals");
+/// Estimates beside the reservoirs.
+pub(crate) const CONTROLS: BufferKey<Control> = BufferKey::new("controls");
+const BOUNCE_CONTROLS: BufferKey<Control> = BufferKey::new("bounce controls");
+const HISTORY_CONTROLS: BufferKey<Control> = BufferKey::new("history controls");
+
+/// Keys of the buffers of records.
+pub(crate) struct Keys<R>(std::marker::PhantomData<R>);
+
+impl<R> Keys<R> {
+    /// This frame's reservoirs; their own history where the spatial result is not kept.
+    pub(crate) const RESERVOIRS: BufferKey<R> = BufferKey::new("reservoirs");
+    const BOUNCE: BufferKey<R> = BufferKey::new("bounce");
+    const SECOND_BOUNCE: BufferKey<R> = BufferKey::new("second bounce");
+    /// What the last spatial round leaves to the next frame.
+    const HISTORY: BufferKey<R> = BufferKey::new("history");
+
+    /// The key of a place.
+    pub(crate) const fn at(place: Place) -> BufferKey<R> {
+        match place {
+            Place::Reservoirs => Self::RESERVOIRS,
+            Place::Bounce => Self::BOUNCE,
+            Place::SecondBounce => Self::SECOND_BOUNCE,
+            Place::History => Self::HISTORY,
+        }
+    }
+}
+
+/// Where reservoirs lie between passes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Place {
+    /// Where temporal reuse left them.
+    Reservoirs,
+    /// Between spatial rounds.
+    Bounce,
+    /// Between spatial rounds, where the reservoirs must stay as they are.
+    SecondBounce,
+    /// What the next frame takes.
+    History,
+}
+
+/// Where estimates lie between passes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum ControlPlace {
+    /// Where temporal reuse left them.
+    Controls,
+    /// Between spatial rounds, where the former must stay as they are.
+    Bounce,
+    /// What the next frame takes.
+    History,
+}
+
+impl ControlPlace {
+    /// The key of the buffer.
+    pub(crate) const fn control_key(self) -> BufferKey<Control> {
+        match self {
+            Self::Controls => CONTROLS,
+            Self::Bounce => BOUNCE_CONTROLS,
+            Self::History => HISTORY_CONTROLS,
+        }
+    }
+}
+
+/// One round of spatial reuse: what it reads and writes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Round {
+    /// From 0.
+    pub(crate) number: u32,
+    /// Whether it is the last one, which shades.
+    pub(crate) last: bool,
+    /// Whose reservoirs are merged.
+    pub(crate) from: Place,
+    /// Where the result goes; `None`: it is shown and not kept.
+    pub(crate) to: Option<Place>,
+    kept: bool,
+}
+
+impl Round {
+    /// Round `number` of the settings. Rounds before the last alternate between two places, the first
+    /// of which reads what temporal reuse left.
+    pub(crate) fn new(settings: &Settings, number: u32) -> Self {
+        let last = number + 1 == settings.rounds;
+        let kept = settings.spatial == SpatialUse::Feedback;
+        let second = if kept { Place::Reservoirs } else { Place::SecondBounce };
+        let even = number.is_multiple_of(2);
+        let from = match number {
+            0 => Place::Reservoirs,
+            _ if even => second,
+            _ => Place::Bounce,
+        };
+        let to = match (last, even) {
+            (true, _) => kept.then_some(Place::History),
+            (false, true) => Some(Place::Bounce),
+            (false, false) => Some(second),
+        };
+        Self { number, last, from, to, kept }
+    }
+
+    /// Where the estimates come from, and where they go. A pixel reads its own only, so rounds before
+    /// the last update them in place.
+    pub(crate) fn controls(&self) -> (ControlPlace, Option<ControlPlace>) {
+        let between = if self.kept { ControlPlace::Controls } else { ControlPlace::Bounce };
+        let from = if self.number == 0 { ControlPlace::Controls } else { between };
+        let to = match (self.last, self.kept) {
+            (false, _) => Some(between),
+            (true, true) => Some(ControlPlace::History),
+            (true, false) => None,
+        };
+        (from, to)
+    }
+}
+
+/// What the previous frame left: a buffer of its own where the spatial result is kept, else the
+/// reservoirs' other half.
+pub(super) fn history<'f, R: StoredReservoir>(inputs: &'f FrameInputs<'_>) -> &'f [R] {
+    match inputs.plan.id(Keys::<R>::HISTORY) {
+        Some(id) => inputs.read(id),
+        None => inputs.at_previous(Keys::<R>::RESERVOIRS),
+    }
+}
+
+/// The estimates of the previous frame; empty where none are kept.
+pub(super) fn history_controls<'f>(inputs: &'f FrameInputs<'_>) -> &'f [Control] {
+    match (inputs.plan.id(HISTORY_CONTROLS), inputs.plan.id(CONTROLS)) {
+        (Some(id), _) => inputs.read(id),
+        (None, Some(id)) => inputs.read_previous(id),
+        (None, None) => &[],
+    }
+}
+
+/// Numbers of the kernels of reuse; a technique's own are below.
+pub(crate) mod kernel {
+    /// The domain's candidates.
+    pub(crate) const INITIAL: u32 = 8;
+    /// See [`super::super::temporal`].
+    pub(crate) const TEMPORAL: u32 = 9;
+    /// See [`super::super::boiling`].
+    pub(crate) const BOILING: u32 = 10;
+    /// See [`super::super::mutate`].
+    pub(crate) const MUTATE: u32 = 11;
+    /// See [`super::super::shade`].
+    pub(crate) const SHADE: u32 = 12;
+    /// Round 0 of [`super::super::spatial`]; others follow.
+    pub(crate) const SPATIAL: u32 = 16;
+}
+
+/// What the initial pass of a domain may take.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Initial {
+    /// Most bounce, shadow and emitter rays a chain, those of the policy not counted.
+    pub(crate) rays: [u64; 3],
+}
+
+/// Adds buffers and passes of reuse to a plan.
+pub(crate) fn add<R: StoredReservoir, P: Policy>(
+    plan: &mut Builder<'_>,
+    settings: &Settings,
+    initial: Initial,
+) {
+    let chains = plan.shot.chains();
+    let still = plan.still();
+    let Settings { rounds, neighbours, mutations, .. } = *settings;
+    let (temporal, spatial) = (settings.cap > 0, neighbours > 0);
+    let kept = spatial && settings.spatial == SpatialUse::Feedback;
+    if temporal && !still {
+        plan.keep_history(Plan::HITS);
+    }
+    let normals = (spatial || (temporal && !still))
+        .then(|| plan.buffer(NORMALS, Elements::Pixels, temporal && !still));
+    // Where the spatial result is not kept the reservoirs are their own history.
+    let own_history = temporal && !kept;
+    let mut places = vec![(Place::Reservoirs, own_history)];
+    let mut control_places = vec![(ControlPlace::Controls, own_history)];
+    for round in (0..if spatial { rounds } else { 0 }).map(|round| Round::new(settings, round)) {
+        places.extend(round.to.map(|place| (place, false)));
+        control_places.extend(round.controls().1.map(|place| (place, false)));
+    }
+    let mut records: Vec<(Place, BufferId)> = Vec::new();
+    for (place, history) in places {
+        if records.iter().all(|(known, _)| *known != place) {
+            let key = Keys::<R>::at(place);
+            records.push((place, plan.buffer_of(key, chains, Elements::Pixels, history)));
+        }
+    }
+    let mut controls: Vec<(ControlPlace, BufferId)> = Vec::new();
+    for (place, history) in control_places {
+        if P::CONTROL && controls.iter().all(|(known, _)| *known != place) {
+            let key = place.control_key();
+            controls.push((place, plan.buffer_of(key, chains, Elements::Pixels, history)));
+        }
+    }
+    let record =
+        |place| records.iter().filter(move |(known, _)| *known == place).map(|(_, id)| *id);
+    let control = |place: Option<ControlPlace>| {
+        controls.iter().filter(move |(known, _)| Some(*known) == place).map(|(_, id)| *id)
+    };
+    let in_place: Vec<BufferId> =
+        record(Place::Reservoirs).chain(control(Some(ControlPlace::Controls))).collect();
+
+    let count = |ray: bool| u64::from(ray) * u64::from(chains);
+    let [bounce, shadow, emitter] = initial.rays.map(|rays| rays * u64::from(chains));
+    let mut writes = in_place.clone();
+    writes.extend(normals);
+    plan.pass(NewPass::pixels("initial", kernel::INITIAL, writes).rays(
+        bounce,
+        shadow + count(P::TRACES_INITIAL),
+        emitter,
+    ));
+    if temporal {
+        let rays = if still { 0 } else { 2 * count(P::IN_TARGET) + count(P::CONTROL) };
+        let pass = NewPass::pixels("temporal", kernel::TEMPORAL, in_place.clone());
+        plan.pass(NewPass { runs: Runs::WithHistory, ..pass.rays(0, rays, 0) });
+        if still {
+            plan.skip(
+                "motion vectors, the previous frame's surfaces and lights",
+                "nothing moves and the filter is a point",
+            );
+        }
+    } else {
+        plan.skip("temporal reuse", "the cap is 0");
+    }
+    if settings.boiling > 0.0 {
+        let writes = record(Place::Reservoirs).collect();
+        let domain = Domain::Tiles {
+            width: boiling::TILE,
+            height: boiling::TILE,
+            grid: Grid::Fixed([0, 0]),
+        };
+        plan.pass(NewPass { domain, ..NewPass::pixels("boiling", kernel::BOILING, writes) });
+    }
+    if mutations > 0 {
+        let rays = u64::from(mutations) * count(P::IN_TARGET) + count(P::KEEPS_OUTCOME);
+        plan.pass(NewPass::pixels("mutate", kernel::MUTATE, in_place).rays(0, rays, 0));
+    }
+    if !spatial {
+        plan.skip("spatial reuse", "no neighbours are asked for");
+        let pass = NewPass::pixels("shade", kernel::SHADE, vec![Plan::RADIANCE]);
+        plan.pass(pass.rays(0, count(P::SHADES_BY_RAY), 0));
+        return;
+    }
+    for round in (0..rounds).map(|round| Round::new(settings, round)) {
+        let mut writes: Vec<BufferId> = round.to.into_iter().flat_map(record).collect();
+        writes.extend(control(round.controls().1));
+        writes.extend(round.last.then_some(Plan::RADIANCE));
+        let decoupled = round.last && settings.decoupled;
+        let k = u64::from(neighbours);
+        let terms = if P::IN_TARGET {
+            shifts(settings.mis, k)
+        } else {
+            k * u64::from(P::TRACES_TERMS || decoupled)
+        };
+        let rays = terms * u64::from(chains) + count(P::SHADES_BY_RAY && round.last);
+        let kernel = kernel::SPATIAL + round.number;
+        plan.pass(NewPass::pixels("spatial", kernel, writes).rays(0, rays, 0));
+    }
+}
+
+/// Most shifts of a merge with `k` others.
+fn shifts(family: Family, k: u64) -> u64 {
+    match family {
+        Family::Constant => k,
+        Family::Balance => k * (k + 1),
+        _ => 2 * k,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Each round reads what the one before wrote; the last one writes what the next frame reads, and
+    /// where nothing is kept no round touches what temporal reuse left.
+    #[test]
+    fn rounds_hand_on_what_they_wrote() {
+        for spatial in [SpatialUse::Feedback, SpatialUse::Display] {
+            for rounds in 1..=8 {
+                let settings = Settings { rounds, spatial, ..Settings::default() };
+                let all: Vec<Round> = (0..rounds).map(|n| Round::new(&settings, n)).collect();
+                assert_eq!(all[0].from, Place::Reservoirs);
+                assert_eq!(all[0].controls().0, ControlPlace::Controls);
+                for pair in all.windows(2) {
+                    assert_eq!(pair[0].to, Some(pair[1].from));
+                    assert_eq!(pair[0].controls().1, Some(pair[1].controls().0));
+                    assert!(!pair[0].last);
+                }
+                for round in &all {
+                    assert_ne!(round.to, Some(round.from), "a round reads others' pixels");
+                }
+                let last = all[all.len() - 1];
+                let kept = spatial == SpatialUse::Feedback;
+                assert_eq!((last.last, last.to), (true, kept.then_some(Place::History)));
+                if !kept {
+                    assert!(all.iter().all(|round| round.to != Some(Place::Reservoirs)));
+                    let controls = Some(ControlPlace::Controls);
+                    assert!(all.iter().all(|round| round.controls().1 != controls));
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,350 @@
+//! Spatial reuse: each pixel merges the reservoirs of a few neighbours with similar surfaces into its
+//! own, round after round; the last round also shades.
+
+use std::cell::OnceCell;
+
+use bytemuck::Zeroable;
+
+use glam::Vec3;
+
+use super::passes::{self, Keys, Round};
+use super::policy::Policy;
+use super::surfaces::{Offsets, Similar, Tap};
+use super::{Control, Domain, InputOf, MAX_NEIGHBOURS, Reuse, StoredReservoir, input};
+use crate::counters::Counters;
+use crate::math::rng::{Purpose, Stream};
+use crate::pass::{Band, Pixel, PrimaryHit};
+use crate::path::finite_or_counted;
+use crate::plan::Plan;
+use crate::resampling::{
+    ControlVariate, DecoupledState, Estimator, Finished, OtherInputs, Plain, Reservoir, Term,
+    WithRadiance, WithVisibility, merge,
+};
+
+/// The reservoir of a merge, which averages visibility and sums contributions.
+type Rich<S> = WithRadiance<WithVisibility<Plain<S>>>;
+
+/// What all pixels of a round read.
+struct RoundInputs<'r, R> {
+    records: &'r [R],
+    hits: &'r [PrimaryHit],
+    normals: &'r [u32],
+    offsets: Offsets,
+}
+
+/// The taps of a pixel that fit, with their receivers, each made when a weight first needs it.
+struct Found<'r, D: Domain> {
+    domain: &'r D,
+    records: &'r [D::Record],
+    hits: &'r [PrimaryHit],
+    taps: [Tap; MAX_NEIGHBOURS],
+    receivers: [OnceCell<D::Receiver>; MAX_NEIGHBOURS],
+    count: usize,
+}
+
+impl<D: Domain> Found<'_, D> {
+    fn receiver(&self, at: usize) -> &D::Receiver {
+        self.receivers[at].get_or_init(|| {
+            let index = self.taps[at].index;
+            let width = self.domain.frame().shot.size[0];
+            let hit = self.hits[index as usize].get().expect("a surface, since it has confidence");
+            self.domain.receiver(hit, Pixel { index, x: index % width, y: index / width })
+        })
+    }
+}
+
+/// The neighbours' reservoirs of one chain.
+struct Neighbours<'f, 'r, D: Domain> {
+    found: &'f Found<'r, D>,
+    chain: usize,
+    chains: usize,
+}
+
+impl<'r, D: Domain> Neighbours<'_, 'r, D> {
+    fn record(&self, at: usize) -> &'r D::Record {
+        &self.found.records[self.found.taps[at].index as usize * self.chains + self.chain]
+    }
+}
+
+impl<D: Domain> OtherInputs<D::Sample, D::Receiver, D::Measure, Vec3> for Neighbours<'_, '_, D> {
+    type Domain<'s>
+        = &'s D::Receiver
+    where
+        Self: 's;
+
+    #[inline]
+    fn count(&self) -> usize {
+        self.found.count
+    }
+
+    #[inline]
+    fn finished(&self, at: usize) -> Finished<D::Sample, D::Measure> {
+        self.record(at).finished()
+    }
+
+    #[inline]
+    fn target(&self, at: usize) -> f32 {
+        self.record(at).target()
+    }
+
+    #[inline]
+    fn domain(&self, at: usize) -> &D::Receiver {
+        self.found.receiver(at)
+    }
+}
+
+/// One chain of a pixel before a merge.
+struct Own<'r, D: Domain> {
+    record: D::Record,
+    control: Control,
+    receiver: &'r D::Receiver,
+}
+
+/// One chain of a pixel after a merge: what it keeps, and what it shows.
+struct Outcome<R> {
+    record: R,
+    control: Control,
+    shown: Vec3,
+}
+
+/// What the rays of one merge said.
+struct Seen {
+    /// By input: whether its sample is seen from here.
+    inputs: [bool; MAX_NEIGHBOURS + 1],
+    /// The own sample's policy bits, after a ray if one was needed.
+    own_bits: u16,
+    counters: Counters,
+}
+
+impl<D: Domain, P: Policy> Reuse<'_, D, P> {
+    /// Runs round number `round` over a band.
+    pub(crate) fn spatial(&self, round: u32, band: &mut Band<'_>) -> Counters {
+        let mut counters = Counters::default();
+        let (inputs, chains) = (self.domain.frame(), self.chains());
+        let round = Round::new(&self.settings, round);
+        let read = RoundInputs {
+            records: inputs.at(Keys::<D::Record>::at(round.from)),
+            hits: inputs.read(Plan::HITS),
+            normals: inputs.at(passes::NORMALS),
+            offsets: Offsets::new(inputs, &self.settings, round.number),
+        };
+        let pixels = band.pixels();
+        let out: &mut [D::Record] =
+            band.take_some(round.to.map(|place| inputs.id(Keys::<D::Record>::at(place))));
+        let (from, to) = round.controls();
+        // A round that updates the estimates in place finds them in what it writes.
+        let in_place = to == Some(from);
+        let controls: &[Control] =
+            if P::CONTROL && !in_place { inputs.at(from.control_key()) } else { &[] };
+        let control_out: &mut [Control] = match to {
+            Some(to) if P::CONTROL => band.take(inputs.id(to.control_key())),
+            _ => &mut [],
+        };
+        let radiance: &mut [[f32; 3]] = band.take_some(round.last.then_some(Plan::RADIANCE));
+        let mut map = self.domain.shift();
+        for (local, pixel) in pixels.enumerate() {
+            let first = pixel.index as usize * chains;
+            // Whether a surface scatters is the same for all chains.
+            let scatters = read.records[first].confidence() > 0.0;
+            let hit = read.hits[pixel.index as usize].get().filter(|_| scatters);
+            let receiver = hit.map(|hit| self.domain.receiver(hit, pixel));
+            let found = receiver.as_ref().map(|_| self.taps(&read, pixel, &mut counters));
+            let mut sum = Vec3::ZERO;
+            for chain in 0..chains {
+                let at = local * chains + chain;
+                let Outcome { record, control, shown } = match (&receiver, &found) {
+                    (Some(receiver), Some(found)) => {
+                        let control = match (P::CONTROL, in_place) {
+                            (false, _) => Control::default(),
+                            (true, false) => controls[first + chain],
+                            (true, true) => control_out[at],
+                        };
+                        let record = read.records[first + chain];
+                        let own = Own::<D> { record, control, receiver };
+                        let others = Neighbours { found, chain, chains };
+                        let stream = |round| self.stream(pixel, Purpose::Selection, round, chain);
+                        let mut random = stream(16 + round.number);
+                        self.merge_neighbours(
+                            round,
+                            &own,
+                            &others,
+                            &mut map,
+                            &mut random,
+                            &mut counters,
+                        )
+                    }
+                    _ => Outcome {
+                        record: D::Record::zeroed(),
+                        control: Control::default(),
+                        shown: Vec3::ZERO,
+                    },
+                };
+                if let Some(out) = out.get_mut(at) {
+                    *out = record;
+                }
+                if let Some(out) = control_out.get_mut(at) {
+                    *out = control;
+                }
+                sum += if round.last { finite_or_counted(shown, &mut counters) } else { shown };
+            }
+            if let Some(out) = radiance.get_mut(local) {
+                *out = self.mean(sum).to_array();
+            }
+        }
+        counters + D::work(&map)
+    }
+
+    /// The taps of a pixel whose surfaces fit.
+    #[inline]
+    fn taps<'r>(
+        &'r self,
+        read: &RoundInputs<'r, D::Record>,
+        pixel: Pixel,
+        counters: &mut Counters,
+    ) -> Found<'r, D> {
+        let (inputs, chains) = (self.domain.frame(), self.chains());
+        let similar = Similar::new(read.hits, read.normals, pixel);
+        let mut found = Found {
+            domain: self.domain,
+            records: read.records,
+            hits: read.hits,
+            taps: [Tap::default(); MAX_NEIGHBOURS],
+            receivers: [const { OnceCell::new() }; MAX_NEIGHBOURS],
+            count: 0,
+        };
+        read.offsets.visit(inputs, pixel, |tap| {
+            let fits = |tap: &Tap| {
+                read.records[tap.index as usize * chains].confidence() > 0.0
+                    && similar.holds(tap.index)
+            };
+            match tap.filter(fits) {
+                Some(tap) => {
+                    found.taps[found.count] = tap;
+                    found.count += 1;
+                }
+                None => counters.reuse_rejected += 1,
+            }
+        });
+        counters.spatial_merges += (found.count * chains) as u64;
+        found
+    }
+
+    /// Merges one chain of a pixel with that of its neighbours.
+    #[inline]
+    fn merge_neighbours(
+        &self,
+        round: Round,
+        own: &Own<'_, D>,
+        others: &Neighbours<'_, '_, D>,
+        map: &mut D::Shift,
+        random: &mut Stream,
+        counters: &mut Counters,
+    ) -> Outcome<D::Record> {
+        let decoupled = round.last && self.settings.decoupled;
+        let canonical = input::<D>(&own.record, own.receiver);
+        let mut seen = Seen {
+            inputs: [false; MAX_NEIGHBOURS + 1],
+            own_bits: own.record.policy_bits(),
+            counters: Counters::default(),
+        };
+        let mut reservoir = Rich::default();
+        let merged =
+            merge(map, self.settings.mis, &canonical, others, &mut reservoir, random, |term| {
+                self.carried(decoupled, own, &canonical, term, &mut seen)
+            });
+        *counters = *counters + seen.counters;
+        counters.weights_rejected += u64::from(reservoir.rejected());
+
+        let average = reservoir.inner().visibility();
+        let (age, bits) = self.inherited_from(decoupled, own, others, merged.source, &seen);
+        let mut bits = self.policy.averaged(bits, average);
+        let mut control = own.control;
+        if P::CONTROL {
+            // The receiver has not changed since C̄ was made.
+            let share = canonical.finished.confidence / merged.finished.confidence;
+            let correction = self.correction(share, own.control, &canonical);
+            let state = DecoupledState { radiance: reservoir.radiance(), correction };
+            let estimate = finite_or_counted(ControlVariate::radiance(&state), counters);
+            let visible = match merged.source {
+                0 => own.control.visible(),
+                source => seen.inputs[source],
+            };
+            control = Control::new(estimate, visible);
+        }
+        let shown = match (round.last, P::CONTROL) {
+            (false, _) => Vec3::ZERO,
+            (true, true) => control.estimate(),
+            (true, false) if decoupled => reservoir.radiance(),
+            (true, false) => self.shown(own.receiver, &merged, &mut bits, counters),
+        };
+        let record = D::Record::new(&merged.finished, merged.target, age, bits);
+        Outcome { record, control, shown }
+    }
+
+    /// What an input brings to the reservoir: its visibility, and its contribution where terms are
+    /// shown.
+    #[inline]
+    fn carried(
+        &self,
+        decoupled: bool,
+        own: &Own<'_, D>,
+        canonical: &InputOf<'_, D>,
+        term: &Term<D::Sample, Vec3>,
+        seen: &mut Seen,
+    ) -> (((), f32), Vec3) {
+        let shows = P::CONTROL || decoupled;
+        let mut shown = Vec3::ZERO;
+        let mut visibility = self.policy.average(own.record.policy_bits());
+        if let Some(shifted) = &term.shifted {
+            let traced = P::TRACES_TERMS || (decoupled && !D::IN_TARGET);
+            let visible = !traced || self.look(own.receiver, shifted.sample, &mut seen.counters).1;
+            seen.inputs[term.input] = visible;
+            visibility = f32::from(u8::from(visible));
+            if shows && visible {
+                shown = shifted.integrand * term.contribution;
+            }
+        } else if shows {
+            let visible = if P::CONTROL {
+                own.control.visible()
+            } else if D::IN_TARGET {
+                true
+            } else {
+                self.policy.outcome(seen.own_bits).unwrap_or_else(|| {
+                    let sample = canonical.finished.sample;
+                    let visible = sample.is_some_and(|sample| {
+                        self.look(own.receiver, sample, &mut seen.counters).1
+                    });
+                    seen.own_bits = self.policy.traced(seen.own_bits, visible);
+                    visible
+                })
+            };
+            seen.inputs[0] = visible;
+            if visible {
+                shown = self.own_integrand(canonical) * term.contribution;
+            }
+        }
+        (((), visibility), shown)
+    }
+
+    /// Age and policy bits of the sample that a merge chose.
+    #[inline]
+    fn inherited_from(
+        &self,
+        decoupled: bool,
+        own: &Own<'_, D>,
+        others: &Neighbours<'_, '_, D>,
+        source: usize,
+        seen: &Seen,
+    ) -> (u32, u16) {
+        if source == 0 {
+            return (own.record.age(), seen.own_bits);
+        }
+        let other = others.record(source - 1);
+        let bits = if decoupled {
+            self.policy.traced(other.policy_bits(), seen.inputs[source])
+        } else {
+            self.policy.from_afar(other.policy_bits(), others.found.taps[source - 1].distance)
+        };
+        (other.age(), bits)
+    }
+}

@@ -1,0 +1,219 @@
+//! Which pixels may share their samples: the pixel that saw a surface in the previous frame, and the
+//! neighbours whose surfaces are similar.
+//!
+//! All of it depends on surfaces and fresh numbers alone (law 1 of [`super`]).
+
+use glam::{Vec2, Vec3};
+
+use super::Taps;
+use super::parameters::Settings;
+use super::passes::NORMALS;
+use crate::accel::Hit;
+use crate::math::rng::{Purpose, RandomSource, Stream};
+use crate::math::warp::sin_cos_turn;
+use crate::math::{octahedral_decode, octahedral_encode};
+use crate::pass::{FrameInputs, Pixel, PrimaryHit};
+use crate::plan::Plan;
+
+/// Surfaces are similar where the cosine between their normals is at least this, and their distances
+/// differ by less than [`DEPTH`] of the own one (the values of Lin et al. 2022).
+const COSINE: f32 = 0.5;
+const DEPTH: f32 = 0.1;
+
+/// Whether a surface at `distance` with unit `normal` is similar to another one.
+#[inline]
+fn similar(normal: Vec3, distance: f32, other_normal: Vec3, other_distance: f32) -> bool {
+    normal.dot(other_normal) >= COSINE && (other_distance - distance).abs() < DEPTH * distance
+}
+
+/// A unit normal in 4 bytes; its error, 10⁻⁴, only decides which neighbours fit.
+#[inline]
+pub(crate) fn pack_normal(normal: Vec3) -> u32 {
+    let p = octahedral_encode(normal) * 32767.0;
+    u32::from(p.x.round() as i16 as u16) | u32::from(p.y.round() as i16 as u16) << 16
+}
+
+/// Inverse of [`pack_normal`].
+#[inline]
+fn unpack_normal(word: u32) -> Vec3 {
+    let at = |bits: u32| f32::from(bits as u16 as i16) / 32767.0;
+    octahedral_decode(Vec2::new(at(word), at(word >> 16)))
+}
+
+/// The pixel of the previous frame that saw the surface of a hit, with its hit there; `None` where
+/// another surface was seen. `normal` is the hit's own.
+///
+/// The motion vector is position − p, with position the surface point's place in the previous frame's
+/// picture and p this frame's sample position; it is rounded to a pixel with a probability in
+/// proportion to its overlap, so that no pixel keeps being missed.
+pub(super) fn reproject(
+    inputs: &FrameInputs<'_>,
+    hit: &Hit,
+    normal: Vec3,
+    pixel: Pixel,
+) -> Option<(Pixel, Hit)> {
+    let motion = inputs.motion?;
+    let before = inputs.position_before(hit)?;
+    let moved = motion.projection.project(before)? - inputs.sample_position(pixel.x, pixel.y, 0);
+    let mut random = inputs.stream(pixel.index, Purpose::TemporalRounding, 0);
+    let x = (pixel.x as f32 + moved.x + random.uniform()).floor();
+    let y = (pixel.y as f32 + moved.y + random.uniform()).floor();
+    let [width, height] = inputs.shot.size;
+    if !(x >= 0.0 && y >= 0.0 && x < width as f32 && y < height as f32) {
+        return None;
+    }
+    let (x, y) = (x as u32, y as u32);
+    let previous = Pixel { index: y * width + x, x, y };
+    let at = previous.index as usize;
+    let found = inputs.read_previous::<PrimaryHit>(Plan::HITS)[at].get()?;
+    let normal_there = unpack_normal(inputs.at_previous(NORMALS)[at]);
+    let distance = motion.projection.distance(before);
+    similar(normal, distance, normal_there, found.t).then_some((previous, found))
+}
+
+/// A neighbour of a pixel.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Tap {
+    /// The neighbour's pixel.
+    pub(super) index: u32,
+    /// How far away it is in pixels, along the axis where it is farther.
+    pub(super) distance: u32,
+}
+
+/// The offsets of one round of spatial reuse.
+pub(super) struct Offsets {
+    round: u32,
+    count: u32,
+    radius: f32,
+    /// Shift and mask of each tap, for [`Taps::Xor`].
+    exchanges: Option<[([u32; 2], [u32; 2]); super::MAX_NEIGHBOURS]>,
+}
+
+impl Offsets {
+    /// Those of a round of a frame.
+    pub(super) fn new(inputs: &FrameInputs<'_>, settings: &Settings, round: u32) -> Self {
+        let Settings { neighbours, radius, taps, .. } = *settings;
+        let exchanges = (taps == Taps::Xor).then(|| {
+            std::array::from_fn(|tap| {
+                let mut random = inputs.stream(tap as u32, Purpose::Taps, round);
+                exchange(&mut random, radius)
+            })
+        });
+        Self { round, count: neighbours, radius, exchanges }
+    }
+
+    /// Calls `each` with every tap of a pixel, `None` where it lies outside of the picture or at the
+    /// pixel itself.
+    #[inline]
+    pub(super) fn visit(
+        &self,
+        inputs: &FrameInputs<'_>,
+        pixel: Pixel,
+        mut each: impl FnMut(Option<Tap>),
+    ) {
+        let size = inputs.shot.size;
+        if let Some(exchanges) = &self.exchanges {
+            for ([sx, sy], [mx, my]) in exchanges.iter().take(self.count as usize) {
+                let partner = |at: u32, shift: &u32, mask: &u32| {
+                    (at.wrapping_add(*shift) ^ mask).wrapping_sub(*shift).wrapping_sub(at) as i32
+                };
+                each(tap(size, pixel, partner(pixel.x, sx, mx), partner(pixel.y, sy, my)));
+            }
+            return;
+        }
+        let mut random = inputs.stream(pixel.index, Purpose::Neighbours, self.round);
+        for _ in 0..self.count {
+            let radius = self.radius * random.uniform().sqrt();
+            let (sin, cos) = sin_cos_turn(random.uniform());
+            each(tap(size, pixel, (radius * cos).round() as i32, (radius * sin).round() as i32));
+        }
+    }
+}
+
+/// Shift s and mask m of an exchange: x ↦ ((x + s) xor m) − s is its own inverse, so pixels exchange
+/// their samples in pairs, and moves each coordinate by at most its mask. Masks are uniform over the
+/// quarter of a disk of the radius.
+fn exchange(random: &mut Stream, radius: f32) -> ([u32; 2], [u32; 2]) {
+    let r = radius * random.uniform().sqrt();
+    let (sin, cos) = sin_cos_turn(0.25 * random.uniform());
+    let mask = [(r * cos).round() as u32, (r * sin).round() as u32];
+    // A mask of zeros would leave every pixel with itself.
+    let mask = if mask == [0, 0] { [1, 0] } else { mask };
+    ([random.word(), random.word()], mask)
+}
+
+/// The pixel (dx, dy) away, if it is another one of the picture.
+#[inline]
+fn tap([width, height]: [u32; 2], pixel: Pixel, dx: i32, dy: i32) -> Option<Tap> {
+    let (x, y) = (i64::from(pixel.x) + i64::from(dx), i64::from(pixel.y) + i64::from(dy));
+    let [across, down] = [width, height].map(i64::from);
+    let inside = (0..across).contains(&x) && (0..down).contains(&y) && (dx, dy) != (0, 0);
+    inside.then(|| Tap {
+        index: (y * across + x) as u32,
+        distance: dx.unsigned_abs().max(dy.unsigned_abs()),
+    })
+}
+
+/// The surfaces of a frame's pixels, for comparisons with one of them.
+#[derive(Clone, Copy)]
+pub(super) struct Similar<'a> {
+    hits: &'a [PrimaryHit],
+    normals: &'a [u32],
+    distance: f32,
+    normal: Vec3,
+}
+
+impl<'a> Similar<'a> {
+    /// Comparisons with the surface at a pixel.
+    #[inline]
+    pub(super) fn new(hits: &'a [PrimaryHit], normals: &'a [u32], pixel: Pixel) -> Self {
+        let at = pixel.index as usize;
+        Self { hits, normals, distance: hits[at].distance(), normal: unpack_normal(normals[at]) }
+    }
+
+    /// Whether the surface at another pixel is similar.
+    #[inline]
+    pub(super) fn holds(&self, index: u32) -> bool {
+        let at = index as usize;
+        similar(
+            self.normal,
+            self.distance,
+            unpack_normal(self.normals[at]),
+            self.hits[at].distance(),
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn normals_come_back_to_a_ten_thousandth() {
+        for n in [Vec3::X, -Vec3::Y, Vec3::Z, -Vec3::Z, Vec3::new(0.3, -0.8, -0.2).normalize()] {
+            assert!((unpack_normal(pack_normal(n)) - n).length() < 2e-4, "{n}");
+        }
+    }
+
+    /// Exchanges pair pixels: the partner's partner is the pixel itself, no farther away than the
+    /// radius allows. The control, the same without the shift back, pairs nothing.
+    #[test]
+    fn exchanges_pair_the_pixels() {
+        let mut farthest = 0.0_f32;
+        for key in 0..200 {
+            let mut random = Stream::from_key(key);
+            let ([sx, _], [mx, my]) = exchange(&mut random, 16.0);
+            assert!((mx, my) != (0, 0));
+            farthest = farthest.max(((mx * mx + my * my) as f32).sqrt());
+            let partner = |x: u32| (x.wrapping_add(sx) ^ mx).wrapping_sub(sx);
+            let without = |x: u32| x.wrapping_add(sx) ^ mx;
+            for x in 0..64 {
+                assert_eq!(partner(partner(x)), x);
+                let away = (partner(x).wrapping_sub(x) as i32).unsigned_abs();
+                assert!(away <= mx, "{x} exchanges with a pixel {away} away, the mask is {mx}");
+            }
+            assert!(mx == 0 || (0..64).any(|x| without(without(x)) != x));
+        }
+        assert!((14.0..=17.0).contains(&farthest), "{farthest}");
+    }
+}

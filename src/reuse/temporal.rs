@@ -1,0 +1,229 @@
+//! Temporal reuse: the history of the pixel that saw the same surface one frame ago is merged into
+//! this frame's reservoir, its confidence capped.
+
+use std::marker::PhantomData;
+
+use glam::Vec3;
+
+use super::passes::{self, Keys};
+use super::policy::Policy;
+use super::surfaces::reproject;
+use super::{Control, Domain, InputOf, Reuse, StoredReservoir, input};
+use crate::counters::Counters;
+use crate::math::rng::Purpose;
+use crate::pass::{Band, PrimaryHit};
+use crate::path::finite_or_counted;
+use crate::plan::Plan;
+use crate::resampling::{
+    ControlVariate, DecoupledState, Estimator, Finished, Input, Plain, Reservoir, ShiftMap,
+    Shifted, WithRadiance, WithVisibility, merge_history,
+};
+
+/// A sample with its target: where two frames have the same receiver, targets need not be evaluated
+/// again.
+#[derive(Clone, Copy)]
+struct Known<S> {
+    sample: S,
+    target: f32,
+}
+
+/// The identity between a pixel and itself one frame ago.
+struct Same<S>(PhantomData<S>);
+
+impl<S: Copy> ShiftMap for Same<S> {
+    type Sample = Known<S>;
+    type Domain = ();
+    type Integrand = f32;
+    type Stratum = ();
+
+    #[inline]
+    fn shift(&mut self, sample: &Known<S>, (): &(), (): &()) -> Option<Shifted<Known<S>, f32>> {
+        Some(Shifted { sample: *sample, integrand: sample.target, jacobian: 1.0 })
+    }
+
+    fn stratum(&self, _: &Known<S>) {}
+}
+
+impl<D: Domain, P: Policy> Reuse<'_, D, P> {
+    /// Runs the pass over a band.
+    pub(crate) fn temporal(&self, band: &mut Band<'_>) -> Counters {
+        // A control variate needs the shifted integrands, not the targets alone.
+        if self.domain.frame().plan.still && !P::CONTROL {
+            self.temporal_still(band)
+        } else {
+            self.temporal_moving(band)
+        }
+    }
+
+    /// Where nothing moves: the same pixel, the same receiver, the targets that are stored.
+    fn temporal_still(&self, band: &mut Band<'_>) -> Counters {
+        let mut counters = Counters::default();
+        let (inputs, chains) = (self.domain.frame(), self.chains());
+        let history = passes::history::<D::Record>(inputs);
+        let pixels = band.pixels();
+        let records: &mut [D::Record] = band.take(inputs.id(Keys::<D::Record>::RESERVOIRS));
+        for (pixel, records) in pixels.zip(records.chunks_exact_mut(chains)) {
+            let first = pixel.index as usize * chains;
+            for (chain, record) in records.iter_mut().enumerate() {
+                let previous = self.aged(history[first + chain]);
+                if record.confidence() == 0.0 || previous.confidence() == 0.0 {
+                    continue;
+                }
+                counters.temporal_merges += 1;
+                let input = |record: &D::Record| {
+                    let Finished { sample, weight, confidence } = record.finished();
+                    let target = record.target();
+                    let sample = sample.map(|sample| Known { sample, target });
+                    Input { finished: Finished { sample, weight, confidence }, target, domain: &() }
+                };
+                let mut reservoir = WithVisibility::<Plain<Known<D::Sample>>>::default();
+                let averages =
+                    [&*record, &previous].map(|record| self.policy.average(record.policy_bits()));
+                let merged = merge_history(
+                    &mut Same(PhantomData),
+                    (self.settings.temporal_mis, self.settings.cap as f32),
+                    &input(record),
+                    &input(&previous),
+                    &mut reservoir,
+                    &mut self.stream(pixel, Purpose::Selection, 1, chain),
+                    |term| ((), averages[term.input]),
+                );
+                counters.weights_rejected += u64::from(reservoir.rejected());
+                let Finished { sample, weight, confidence } = merged.finished;
+                let sample = sample.map(|known| known.sample);
+                let finished = Finished { sample, weight, confidence };
+                let average = reservoir.visibility();
+                let (age, bits) = self.inherited(record, &previous, merged.source, average);
+                *record = D::Record::new(&finished, merged.target, age, bits);
+            }
+        }
+        counters
+    }
+
+    /// The general form: reprojection, and shifts between the two frames' receivers.
+    fn temporal_moving(&self, band: &mut Band<'_>) -> Counters {
+        let mut counters = Counters::default();
+        let (inputs, chains) = (self.domain.frame(), self.chains());
+        let hits = inputs.read::<PrimaryHit>(Plan::HITS);
+        let history = passes::history::<D::Record>(inputs);
+        let history_controls = passes::history_controls(inputs);
+        let pixels = band.pixels();
+        let records: &mut [D::Record] = band.take(inputs.id(Keys::<D::Record>::RESERVOIRS));
+        let controls: &mut [Control] = band.take_some(inputs.plan.id(passes::CONTROLS));
+        let mut map = self.domain.shift();
+        for (local, pixel) in pixels.enumerate() {
+            let own = local * chains..(local + 1) * chains;
+            let Some(hit) = hits[pixel.index as usize].get() else { continue };
+            if records[own.start].confidence() == 0.0 {
+                continue;
+            }
+            let receiver = self.domain.receiver(hit, pixel);
+            let found = if inputs.plan.still {
+                Some((pixel, None))
+            } else {
+                reproject(inputs, &hit, self.domain.normal(&receiver), pixel).and_then(
+                    |(there, hit)| Some((there, Some(self.domain.receiver_before(hit, there)?))),
+                )
+            };
+            let Some((there, before)) = found else {
+                counters.reuse_rejected += 1;
+                continue;
+            };
+            let before = before.as_ref().unwrap_or(&receiver);
+            for (chain, at) in own.enumerate() {
+                let from = there.index as usize * chains + chain;
+                let previous = self.aged(history[from]);
+                if previous.confidence() == 0.0 {
+                    continue;
+                }
+                counters.temporal_merges += 1;
+                let record = records[at];
+                let canonical = input::<D>(&record, &receiver);
+                let past = input::<D>(&previous, before);
+                let mut reservoir = WithRadiance::<WithVisibility<Plain<D::Sample>>>::default();
+                let averages =
+                    [&record, &previous].map(|record| self.policy.average(record.policy_bits()));
+                // V of the previous sample here and now, once it was asked for.
+                let mut past_visible = false;
+                let merged = merge_history(
+                    &mut map,
+                    (self.settings.temporal_mis, self.settings.cap as f32),
+                    &canonical,
+                    &past,
+                    &mut reservoir,
+                    &mut self.stream(pixel, Purpose::Selection, 1, chain),
+                    |term| {
+                        let mut shown = Vec3::ZERO;
+                        if P::CONTROL {
+                            let (integrand, visible) = match &term.shifted {
+                                None => (self.own_integrand(&canonical), controls[at].visible()),
+                                Some(shifted) => {
+                                    past_visible = if inputs.plan.still {
+                                        history_controls[from].visible()
+                                    } else {
+                                        self.look(&receiver, shifted.sample, &mut counters).1
+                                    };
+                                    (shifted.integrand, past_visible)
+                                }
+                            };
+                            if visible {
+                                shown = integrand * term.contribution;
+                            }
+                        }
+                        (((), averages[term.input]), shown)
+                    },
+                );
+                counters.weights_rejected += u64::from(reservoir.rejected());
+                let average = reservoir.inner().visibility();
+                let (age, bits) = self.inherited(&record, &previous, merged.source, average);
+                if P::CONTROL {
+                    let confidence = past.finished.confidence.min(self.settings.cap as f32);
+                    let share = confidence / (confidence + canonical.finished.confidence);
+                    let correction = self.correction(share, history_controls[from], &past);
+                    let state = DecoupledState { radiance: reservoir.radiance(), correction };
+                    let estimate =
+                        finite_or_counted(ControlVariate::radiance(&state), &mut counters);
+                    let visible =
+                        if merged.source == 0 { controls[at].visible() } else { past_visible };
+                    controls[at] = Control::new(estimate, visible);
+                }
+                records[at] = D::Record::new(&merged.finished, merged.target, age, bits);
+            }
+        }
+        counters + D::work(&map)
+    }
+
+    /// a (C̄ − F̃): what the estimate kept with an input corrects. F̃ = F V W is the input's own
+    /// contribution at the receiver where C̄ was made, so the difference has mean 0.
+    pub(super) fn correction(&self, share: f32, control: Control, input: &InputOf<'_, D>) -> Vec3 {
+        let contribution = if control.visible() {
+            self.own_integrand(input) * input.finished.weight.get()
+        } else {
+            Vec3::ZERO
+        };
+        share * (control.estimate() - contribution)
+    }
+
+    /// Age and policy bits after a temporal merge whose averaged visibility is `average`.
+    #[inline]
+    fn inherited(
+        &self,
+        record: &D::Record,
+        previous: &D::Record,
+        source: usize,
+        average: f32,
+    ) -> (u32, u16) {
+        let (age, bits) = match source {
+            0 => (record.age(), record.policy_bits()),
+            _ => (previous.age() + 1, self.policy.a_frame_later(previous.policy_bits())),
+        };
+        (age, self.policy.averaged(bits, average))
+    }
+
+    /// A record of the previous frame, without its sample where that is too old.
+    #[inline]
+    fn aged(&self, previous: D::Record) -> D::Record {
+        let max_age = self.settings.max_age;
+        if max_age > 0 && previous.age() >= max_age { previous.emptied() } else { previous }
+    }
+}
