@@ -280,7 +280,8 @@ impl Runner {
         self.gpu.device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
     }
 
-    /// Prepares the next frame: its world takes its turn, histories are exchanged. Nothing has changed where this fails.
+    /// Prepares the next frame: its world takes its turn, histories are exchanged. Nothing has
+    /// changed where this fails.
     pub(super) fn begin(
         &mut self,
         frame: &FrameState<'_>,
@@ -446,7 +447,8 @@ impl Runner {
         Ok(counters)
     }
 
-    /// The first bytes of a buffer that can be mapped, once the submission is done; `None`: the newest one.
+    /// The first bytes of a buffer that can be mapped, once the submission is done; `None`: the
+    /// newest one.
     fn mapped(
         &self,
         buffer: &wgpu::Buffer,
@@ -539,7 +541,17 @@ fn compile(
     let passes = plan.passes.iter().zip(twins);
     passes
         .map(|(pass, twin)| {
-            let kernel = Kernel::new(twin, lanes(pass.domain), scene);
+            let lanes = lanes(pass.domain);
+            let [width, height] = lanes.workgroup();
+            let invocations = gpu.device().limits().max_compute_invocations_per_workgroup;
+            if width * height > invocations {
+                return Err(Error::gpu(format!(
+                    "pass `{}` has tiles of {width} x {height}, but {} runs at most {invocations} pixels a tile",
+                    pass.name,
+                    gpu.info()
+                )));
+            }
+            let kernel = Kernel::new(twin, lanes, scene);
             let groups = kernel.groups(shot.size);
             if groups[0].max(groups[1]) > most {
                 return Err(Error::gpu(format!(

@@ -1,4 +1,5 @@
-//! The composer: modules become one text, without the lines that a kernel leaves out, and errors find their way back to a module's file and line.
+//! The composer: modules become one text, without the lines that a kernel leaves out, and errors
+//! find their way back to a module's file and line.
 //!
 //! Directives are comments, so that a text may be valid as a whole, too:
 //!
@@ -8,7 +9,8 @@
 //! | `//#if NAME=A\|B` | it is one of these: numbers, or names of constants of type `u32` that a module declares |
 //! | `//#else`, `//#endif` | the condition does not hold; always |
 //!
-//! A constant that a module declares and no pipeline sets is not known here: all of its branches stay. A name that nobody declares is an error.
+//! A constant that a module declares and no pipeline sets is not known here: all of its branches
+//! stay. A name that nobody declares is an error.
 
 use std::collections::{HashMap, HashSet};
 
@@ -24,10 +26,12 @@ pub(crate) struct Composed {
 }
 
 impl Composed {
-    /// `generated`, whose declarations directives may compare with, then what stays of `modules`; `known` are constants and flags with their values.
+    /// `generated`, whose declarations directives may compare with, then what stays of `modules`;
+    /// `known` are constants and flags with their values.
     ///
     /// # Errors
-    /// A directive without its other half, or that asks for a name that is not declared, with its file and line.
+    /// A directive without its other half, or that asks for a name that is not declared, with its
+    /// file and line.
     pub(crate) fn new(
         generated: &str,
         modules: &[Module],
@@ -106,8 +110,8 @@ impl Composed {
         }
     }
 
-    /// What a compiler says of a line of the text, with the place and the line itself in front of it. Listings of the text are left out: their numbers
-    /// are those of no file.
+    /// What a compiler says of a line of the text, with the place and the line itself in front of
+    /// it. Listings of the text are left out: their numbers are those of no file.
     pub(crate) fn explain(&self, line: usize, message: &str) -> String {
         // The compiler begins with the kernel's name.
         let (_, message) = message.split_once(" error: ").unwrap_or(("", message));

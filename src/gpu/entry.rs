@@ -1,4 +1,5 @@
-//! Entry points: from what a kernel runs over follow its workgroups, its bounds and its signature ([`Twin`](crate::twin::Twin)).
+//! Entry points: from what a kernel runs over follow its workgroups, its bounds and its signature
+//! ([`Twin`](crate::twin::Twin)).
 
 use crate::math::rng::Purpose;
 
@@ -28,7 +29,8 @@ pub(crate) enum Lanes {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Origin {
     Fixed([u32; 2]),
-    /// Drawn anew in each frame, less than a tile's size: `index(width)` and `index(height)` of the frame's stream of this purpose for cell 0.
+    /// Drawn anew in each frame, less than a tile's size: `index(width)` and `index(height)` of the
+    /// frame's stream of this purpose for cell 0.
     PerFrame(Purpose),
 }
 

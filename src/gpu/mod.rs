@@ -1,4 +1,5 @@
-//! The graphics processor: adapters, a device, pipelines, the scene in four arenas. Frames are run by [`crate::frame`].
+//! The graphics processor: adapters, a device, pipelines, the scene in four arenas. Frames are run
+//! by [`crate::frame`].
 //!
 //! | file | holds |
 //! |---|---|
@@ -8,8 +9,9 @@
 //! | `entry` | entry points and workgroups, by what a kernel runs over |
 //! | `scene.wgsl` | the arenas from the other side: bindings, words, textures |
 //!
-//! WGSL stands beside the Rust that it is the twin of, with the same names in the same order (`math/rng.wgsl`, `accel/accel.wgsl`, …). What
-//! needs nothing of this crate's scene is public ([`wgsl`]), for hosts with pipelines of their own.
+//! WGSL stands beside the Rust that it is the twin of, with the same names in the same order
+//! (`math/rng.wgsl`, `accel/accel.wgsl`, …). What needs nothing of this crate's scene is public
+//! ([`wgsl`]), for hosts with pipelines of their own.
 
 mod compose;
 mod entry;
@@ -124,10 +126,12 @@ fn preference(adapter: &wgpu::Adapter) -> u32 {
 }
 
 impl Gpu {
-    /// Opens the preferred adapter, or the first whose `name (api)` contains `wanted`, capitals or not.
+    /// Opens the preferred adapter, or the first whose `name (api)` contains `wanted`, capitals or
+    /// not.
     ///
     /// # Errors
-    /// No adapter, none of that name (the message lists all), or one that lacks what kernels need ([`Error::is_gpu`]).
+    /// No adapter, none of that name (the message lists all), or one that lacks what kernels need
+    /// ([`Error::is_gpu`]).
     pub fn open(wanted: Option<&str>) -> Result<Arc<Self>> {
         let mut all = all_adapters();
         all.sort_by_key(preference);
@@ -154,7 +158,8 @@ impl Gpu {
     fn with_adapter(adapter: &wgpu::Adapter) -> Result<Arc<Self>> {
         let info = AdapterInfo::of(adapter);
         let most = adapter.limits();
-        // All limits are those of every WebGPU device, but for the size of buffers: large scenes need what there is.
+        // All limits are those of every WebGPU device, but for the size of buffers: large scenes
+        // need what there is.
         let limits = wgpu::Limits {
             max_storage_buffer_binding_size: most.max_storage_buffer_binding_size,
             max_buffer_size: most.max_buffer_size,
@@ -355,7 +360,8 @@ impl Gpu {
         locked(&self.pipelines).len()
     }
 
-    /// A still world's arenas, shared by all loops that show it; with the emitters' tree where that is `wanted`.
+    /// A still world's arenas, shared by all loops that show it; with the emitters' tree where that
+    /// is `wanted`.
     pub(crate) fn scene(
         self: &Arc<Self>,
         world: &Arc<World>,

@@ -1,4 +1,5 @@
-//! Kernels: which modules they are made of, with what the plan and the scene leave out as constants.
+//! Kernels: which modules they are made of, with what the plan and the scene leave out as
+//! constants.
 
 use std::collections::HashMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -8,7 +9,8 @@ use super::entry::Lanes;
 use crate::error::{Error, Result};
 use crate::twin::{Module, Twin};
 
-/// WGSL that needs nothing of this crate's scene. Each text is part of a module: put together what you need and add your own.
+/// WGSL that needs nothing of this crate's scene. Each text is part of a module: put together what
+/// you need and add your own.
 ///
 /// | part | needs |
 /// |---|---|
@@ -26,14 +28,19 @@ pub mod wgsl {
     pub const RNG: &str = include_str!("../math/rng.wgsl");
     /// Weighted reservoirs, MIS weights, mutated weights, as in [`crate::resampling`].
     pub const RESAMPLING: &str = crate::resampling::RESAMPLING_WGSL.text;
-    /// [`crate::resampling::merge()`], and [`merge_history`](crate::resampling::merge_history) with one other input; its head says what a host adds.
+    /// [`crate::resampling::merge()`], and [`merge_history`](crate::resampling::merge_history) with
+    /// one other input; its head says what a host adds.
     pub const MERGE: &str = crate::resampling::MERGE_WGSL.text;
     /// What visibility policies keep, as in [`crate::reuse`]: outcomes, averages, estimates.
-    pub const VISIBILITY: &str = crate::reuse::light_points::VISIBILITY_WGSL.text;
+    pub const VISIBILITY: &str = concat!(
+        include_str!("../reuse/policy/stored.wgsl"),
+        include_str!("../reuse/policy/wis.wgsl"),
+        include_str!("../reuse/control.wgsl")
+    );
 }
 
 /// What every kernel that knows the scene is made of.
-const SCENE: [Module; 9] = [
+const SCENE: [Module; 10] = [
     crate::wgsl!("../math/rng.wgsl"),
     crate::wgsl!("../math/math.wgsl"),
     crate::wgsl!("../math/warp.wgsl"),
@@ -42,6 +49,7 @@ const SCENE: [Module; 9] = [
     crate::wgsl!("../surface/bsdf.wgsl"),
     crate::wgsl!("../light/light.wgsl"),
     crate::wgsl!("../surface/surface.wgsl"),
+    crate::wgsl!("../pass.wgsl"),
     crate::wgsl!("../path/path.wgsl"),
 ];
 

@@ -1,6 +1,7 @@
 //! Every WGSL function against its Rust twin, on a device; what the modules look like, without one.
 //!
-//! Where no adapter is, tests of the first kind say so and pass; under `AFTERIMAGE_REQUIRE_GPU=1` they fail instead.
+//! Where no adapter is, tests of the first kind say so and pass; under `AFTERIMAGE_REQUIRE_GPU=1`
+//! they fail instead.
 
 mod functions;
 mod modules;
@@ -12,7 +13,7 @@ use super::compose::Composed;
 use super::{Gpu, Inputs, Kernel, Lanes, SceneBuffers};
 use crate::math::rng::{RandomSource, Stream};
 use crate::resampling::RESAMPLING_WGSL;
-use crate::reuse::light_points::VISIBILITY_WGSL;
+use crate::reuse::{CONTROL_WGSL, STORED_WGSL, WIS_WGSL};
 use crate::scene::Scene;
 use crate::twin::{Module, Twin};
 use crate::world::World;
@@ -44,7 +45,8 @@ fn empty() -> Arc<World> {
     world.clone()
 }
 
-/// Runs `fn test(i: u32)`, given as WGSL, for `inputs.len() / width` numbers. It reads `input(i, k)` and calls `output(i, k, word)`, k < `out`.
+/// Runs `fn test(i: u32)`, given as WGSL, for `inputs.len() / width` numbers. It reads `input(i,
+/// k)` and calls `output(i, k, word)`, k < `out`.
 fn run(
     gpu: &Arc<Gpu>,
     world: &Arc<World>,
@@ -82,7 +84,7 @@ fn run_changed(
         inputs.len()
     );
     let harness = Module { name: "the harness", text: Box::leak(harness.into_boxed_str()) };
-    let modules = vec![RESAMPLING_WGSL, VISIBILITY_WGSL, harness];
+    let modules = vec![RESAMPLING_WGSL, STORED_WGSL, WIS_WGSL, CONTROL_WGSL, harness];
     let twin = Twin { kernel: "test", modules, ..Twin::default() };
     let lanes = Lanes::Items(count as u32);
     let kernel = Kernel::new(&twin, lanes, scene.constants());

@@ -1,4 +1,5 @@
-//! What the modules look like: validity for every plan, layouts, numbers of bindings. Needs no device.
+//! What the modules look like: validity for every plan, layouts, numbers of bindings. Needs no
+//! device.
 
 use std::mem::offset_of;
 
@@ -28,8 +29,9 @@ fn validator() -> naga::valid::Validator {
     )
 }
 
-/// As [`parsed`]; an error begins with the module's file and line.
-fn valid(composed: &Composed) -> Result<naga::Module, String> {
+/// As [`parsed`], and with the kernel's constants in their places; an error begins with the
+/// module's file and line.
+fn valid(composed: &Composed, constants: &[(&str, f64)]) -> Result<naga::Module, String> {
     let source = &composed.text;
     let at = |place: Option<naga::SourceLocation>, text: String| match place {
         Some(place) => format!("{}: {text}", composed.place(place.line_number as usize)),
@@ -37,7 +39,17 @@ fn valid(composed: &Composed) -> Result<naga::Module, String> {
     };
     let module = naga::front::wgsl::parse_str(source)
         .map_err(|e| at(e.location(source), e.emit_to_string(source)))?;
-    validator().validate(&module).map_err(|e| at(e.location(source), e.emit_to_string(source)))?;
+    let info = validator()
+        .validate(&module)
+        .map_err(|e| at(e.location(source), e.emit_to_string(source)))?;
+    let constants = constants.iter().map(|(name, value)| (name.to_string(), *value)).collect();
+    let entry = (naga::ShaderStage::Compute, ENTRY);
+    naga::back::pipeline_constants::process_overrides(&module, &info, Some(entry), &constants)
+        .map_err(|e| {
+            let reasons = std::iter::successors(Some(&e as &dyn std::error::Error), |e| e.source());
+            let reasons: Vec<String> = reasons.map(ToString::to_string).collect();
+            format!("with its constants: {}", reasons.join(": "))
+        })?;
     Ok(module)
 }
 
@@ -158,13 +170,15 @@ fn kernels_are_valid_whatever_one_thing_a_scene_has_or_lacks() {
             for scene in one_of_each() {
                 let kernel = Kernel::new(&twin, lanes(pass.domain), &scene);
                 let composed = kernel.compose().unwrap();
-                valid(&composed).unwrap_or_else(|e| panic!("`{}`, {scene:?}: {e}", twin.kernel));
+                valid(&composed, &kernel.constants)
+                    .unwrap_or_else(|e| panic!("`{}`, {scene:?}: {e}", twin.kernel));
             }
         }
     }
 }
 
-/// Every kernel of every plan, for scenes with everything and with little, is valid and binds no more than every device can.
+/// Every kernel of every plan, for scenes with everything and with little, is valid and binds no
+/// more than every device can.
 #[test]
 fn every_kernel_of_every_plan_is_valid() {
     let mut kernels = std::collections::BTreeMap::new();
@@ -189,7 +203,8 @@ fn every_kernel_of_every_plan_is_valid() {
     assert!(kernels.len() > 40, "{}", kernels.len());
     for (kernel, spec, composed) in kernels.values() {
         let Kernel { name, constants, .. } = kernel;
-        let module = valid(composed).unwrap_or_else(|e| panic!("`{name}` of {spec}: {e}"));
+        let module =
+            valid(composed, constants).unwrap_or_else(|e| panic!("`{name}` of {spec}: {e}"));
         let [entry] = &module.entry_points[..] else { panic!("`{name}` of {spec}") };
         assert_eq!(entry.name, ENTRY);
         let bound = storage_buffers(&module);
@@ -233,7 +248,6 @@ fn layouts(source: &str) -> Vec<(&'static str, Layout, Layout)> {
                 remap,
                 instances,
                 srgb,
-                items,
                 camera,
                 camera_before,
                 projection,
@@ -313,7 +327,8 @@ fn planted(mut change: impl FnMut(&str) -> Option<String>) -> crate::error::Resu
     Kernel::new(&twin, Lanes::Pixels, &EVERYTHING).compose()
 }
 
-/// The control: an error in a module's text is reported at the module's own line, by the test of all modules and by a device.
+/// The control: an error in a module's text is reported at the module's own line, by the test of
+/// all modules and by a device.
 #[test]
 fn errors_name_a_modules_file_and_line() {
     let line = |text: &str, part: &str| {
@@ -335,7 +350,7 @@ fn errors_name_a_modules_file_and_line() {
         })
         .unwrap();
         let place = format!("src/frame/primary_hits.wgsl:{number}: ");
-        let error = valid(&composed).unwrap_err();
+        let error = valid(&composed, &[]).unwrap_err();
         assert!(error.starts_with(&place) && error.contains(said), "{place}: {error}");
         let Some(gpu) = super::device() else { continue };
         let error = gpu.compile("planted", &composed, &[]).unwrap_err().to_string();
@@ -415,19 +430,22 @@ fn public_modules_compile_with_a_stub_of_a_host() {
     parsed(&format!("{}{}", wgsl::RNG, wgsl::RESAMPLING)).unwrap();
     let stub = "
     struct Sample { x: f32 }
-    struct Carried { visibility: f32, radiance: vec3f }
-    fn input_finished(input: u32) -> Finished { return Finished(Sample(0.5), 1.0, 1.0); }
-    fn input_target(input: u32) -> f32 { return 1.0; }
-    fn shift(sample: Sample, origin: u32, destination: u32) -> Shifted {
+    struct Merge { confidence: f32 }
+    fn input_finished(m: ptr<function, Merge>, input: u32) -> Finished {
+        return Finished(Sample(0.5), 1.0, (*m).confidence);
+    }
+    fn input_target(m: ptr<function, Merge>, input: u32) -> f32 { return 1.0; }
+    fn shift(m: ptr<function, Merge>, sample: Sample, origin: u32, destination: u32) -> Shifted {
         return Shifted(sample, vec3f(1.0), 1.0, true);
     }
     fn target_of(integrand: vec3f) -> f32 { return integrand.x; }
-    fn carry(term: Term) -> Carried { return Carried(1.0, vec3f(0.0)); }
+    fn carry(m: ptr<function, Merge>, term: Term) -> Carried { return Carried(1.0, vec3f(0.0)); }
     @compute @workgroup_size(1)
     fn host() {
         var r = reservoir_new();
         var random = stream_from_key(vec2<u32>(1u, 2u));
-        let merged = merge(FAMILY_DEFENSIVE, 2u, &r, &random);
+        var m = Merge(1.0);
+        let merged = merge(&m, FAMILY_DEFENSIVE, 2u, &r, &random);
     }";
     parsed(&[wgsl::RNG, wgsl::RESAMPLING, wgsl::MERGE, wgsl::VISIBILITY, stub].concat()).unwrap();
 }

@@ -21,12 +21,7 @@ mod receiver;
 mod record;
 #[cfg(test)]
 mod tests;
-
-/// [`Reused`](super::Reused), [`Control`](super::Control) and averages of visibility in WGSL; needs nothing.
-pub const VISIBILITY_WGSL: Module = crate::wgsl!("visibility.wgsl");
-
-/// All of this module in WGSL; needs the scene's.
-pub(crate) const DIRECT_WGSL: Module = crate::wgsl!("direct.wgsl");
+pub(crate) mod twin;
 
 pub(crate) use candidates::TILE;
 pub use candidates::{Candidates, Chosen, TileEntry, candidates, fill_tile};
@@ -35,5 +30,3 @@ pub(crate) use initial::{Sources, TILES};
 pub use mutate::{LightPointMutator, PointState};
 pub use receiver::{LightMeasure, LightPointShift, Receiver, Sight, Time};
 pub use record::Record;
-
-use crate::twin::Module;

@@ -28,9 +28,7 @@ use crate::plan::{Claim, Plan, SceneFacts, Shot};
 use crate::resampling::{
     Conditions, ControlVariate, Decoupled, Estimator, Family, Selected, WeightedVisibility,
 };
-use crate::reuse::light_points::Record;
 use crate::reuse::parameters::reuse_rows;
-use crate::reuse::passes::Keys;
 use crate::reuse::policy::StoredOutcome;
 use crate::reuse::{REUSE_AGE, REUSE_DISTANCE, Settings, SpatialUse, Taps, Visibility};
 use crate::spec::{self, Choice, Row, row};
@@ -398,12 +396,7 @@ impl Technique for RestirDi {
     }
 
     fn twin(&self, kernel: u32, plan: &Plan) -> Option<Twin> {
-        // The twins know one chain of a pixel, random taps and a spatial result that is kept.
-        let one_chain = plan
-            .id(Keys::<Record>::RESERVOIRS)
-            .is_none_or(|id| plan.buffers[id.0].bytes as usize == size_of::<Record>());
-        let known = self.taps == Taps::Random && self.spatial == SpatialUse::Feedback && one_chain;
-        known.then(|| self.kernel_twin(kernel, plan))
+        Some(self.kernel_twin(kernel, plan))
     }
 }
 
