@@ -1,6 +1,7 @@
-//! One steady frame of every technique, 128 × 128 pixels: `frames/SCENE/TECHNIQUE`, in pixels a second; and what leaving things out gains:
-//! `skips/WHAT/with` against `skips/WHAT/without`, the same picture by the general plan and by the one that the scene allows; `gpu-skips` is the same on
-//! a graphics processor, by the milliseconds that the device itself reports, where there is one.
+//! One steady frame of every technique, 128 × 128 pixels: `frames/SCENE/TECHNIQUE`, in pixels a
+//! second; and what leaving things out gains: `skips/WHAT/with` against `skips/WHAT/without`, the
+//! same picture by the general plan and by the one that the scene allows; `gpu-skips` is the same
+//! on a graphics processor, by the milliseconds that the device itself reports, where there is one.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -30,7 +31,7 @@ fn frames(criterion: &mut Criterion) {
             let technique = Arc::from(parse(entry.name).expect("a registered name"));
             let depth = stage.facts().depth.min(8);
             let shot =
-                Shot { size: SIZE, depth, filter: Filter::Point, run: 1, effort: 1, fps: 30 };
+                Shot { size: SIZE, depth, filter: Filter::Point, run: 1, effort: 1.0, fps: 30 };
             let mut frames = FrameLoop::new(technique, &stage, shot).expect("a valid shot");
             let first = frames.render().expect("a frame");
             assert_eq!((first.counters.non_finite, first.picture().non_finite()), (0, 0));
@@ -42,7 +43,8 @@ fn frames(criterion: &mut Criterion) {
     }
 }
 
-/// The general plan and the specialised one give the same picture (`tests/suite/elision.rs`); here is what it costs.
+/// The general plan and the specialised one give the same picture (`tests/suite/elision.rs`); here
+/// is what it costs.
 fn skips(criterion: &mut Criterion) {
     skips_on(criterion, "skips", &Backend::Cpu);
     #[cfg(feature = "gpu")]
@@ -119,7 +121,8 @@ fn skips_on(criterion: &mut Criterion, name: &str, backend: &Backend) {
             "other-light",
             [(Stage::new(cornell()), "restir-di", 2), (Stage::new(cornell()), "restir-di", 3)],
         ),
-        // Kernels for diffuse triangles against such for all materials, spheres, textures, coverage and skies: one sphere of each, out of sight.
+        // Kernels for diffuse triangles against such for all materials, spheres, textures, coverage
+        // and skies: one sphere of each, out of sight.
         (
             "scene",
             [(Stage::new(cornell()), "restir-di", 2), (Stage::new(everything()), "restir-di", 2)],
@@ -131,7 +134,7 @@ fn skips_on(criterion: &mut Criterion, name: &str, backend: &Backend) {
         for (name, (stage, spec, depth)) in ["without", "with"].into_iter().zip(sides) {
             let technique = Arc::from(parse(spec).expect("a specification"));
             let shot =
-                Shot { size: SIZE, depth, filter: Filter::Point, run: 1, effort: 1, fps: 30 };
+                Shot { size: SIZE, depth, filter: Filter::Point, run: 1, effort: 1.0, fps: 30 };
             let stage = stage.expect("a stage");
             let mut frames = FrameLoop::with_backend(technique, &stage, shot, backend)
                 .expect("a valid shot on this backend");

@@ -1,4 +1,5 @@
-//! Rates of the direction maps and of the lobes: sample and evaluate, one thread, directions a second.
+//! Rates of the direction maps and of the lobes: sample and evaluate, one thread, directions a
+//! second.
 
 use std::hint::black_box;
 

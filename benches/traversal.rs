@@ -1,5 +1,6 @@
-//! Rays a second on one core: primary, bounce (cosine) and shadow rays; ours in both layouts and with plain tests, against obvhs' own
-//! traversal with its own triangle test. Every engine gets the same rays.
+//! Rays a second on one core: primary, bounce (cosine) and shadow rays; ours in both layouts and
+//! with plain tests, against obvhs' own traversal with its own triangle test. Every engine gets the
+//! same rays.
 
 use std::hint::black_box;
 use std::path::Path;

@@ -1,4 +1,5 @@
-//! A host's own scene in the frame loop: geometry made in code, a lamp that the host moves from frame to frame.
+//! A host's own scene in the frame loop: geometry made in code, a lamp that the host moves from
+//! frame to frame.
 //!
 //! ```sh
 //! cargo run --release --example host_scene
@@ -57,7 +58,7 @@ fn main() -> Result<()> {
     let mut scene = scene();
     let stage = Stage::moving(scene.clone())?;
     let shot =
-        Shot { size: [160, 90], depth: 3, filter: Filter::Point, run: 1, effort: 4, fps: 30 };
+        Shot { size: [160, 90], depth: 3, filter: Filter::Point, run: 1, effort: 4.0, fps: 30 };
     let mut frames = FrameLoop::new(Arc::from(techniques::parse("nee")?), &stage, shot)?;
     print!("{}", frames.plan());
     for step in 0..8_u8 {

@@ -1,8 +1,10 @@
-//! A host with a pipeline and a scene of its own takes the crate's random numbers, reservoirs and merges as WGSL.
+//! A host with a pipeline and a scene of its own takes the crate's random numbers, reservoirs and
+//! merges as WGSL.
 //!
-//! The scene is a floor under 400 coloured lamps, with three balls that cast shadows: closed formulas in the host's shader, no mesh, no tree, nothing
-//! of this crate. Each pixel draws 16 lamps, keeps one, takes what eight neighbours kept, and asks one shadow ray. The picture's mean over frames must
-//! agree with the sum over all lamps.
+//! The scene is a floor under 400 coloured lamps, with three balls that cast shadows: closed
+//! formulas in the host's shader, no mesh, no tree, nothing of this crate. Each pixel draws 16
+//! lamps, keeps one, takes what eight neighbours kept, and asks one shadow ray. The picture's mean
+//! over frames must agree with the sum over all lamps.
 //!
 //! `cargo run --release --example host_wgpu [FRAMES]`
 

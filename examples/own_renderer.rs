@@ -1,8 +1,10 @@
-//! The resampling core in a renderer of one's own: nothing of this crate's scene, rays or frame loop is used.
+//! The resampling core in a renderer of one's own: nothing of this crate's scene, rays or frame
+//! loop is used.
 //!
-//! The host has a floor of pixels under a few hundred lamps, and a wall that some lamps are behind. It brings three things: a sample (a lamp's
-//! number), a domain (a pixel's place on the floor), and the integrand (what a lamp sends there). Everything else, reservoirs, MIS weights,
-//! merges over time and space, is the core's.
+//! The host has a floor of pixels under a few hundred lamps, and a wall that some lamps are behind.
+//! It brings three things: a sample (a lamp's number), a domain (a pixel's place on the floor), and
+//! the integrand (what a lamp sends there). Everything else, reservoirs, MIS weights, merges over
+//! time and space, is the core's.
 //!
 //! ```sh
 //! cargo run --release --example own_renderer
@@ -17,7 +19,8 @@ const WIDTH: usize = 48;
 const LAMPS: usize = 300;
 const FRAMES: usize = 24;
 
-/// The host's scene: lamps over a line of floor points, and a wall between x = 0.45 and 0.5 that is 0.4 high.
+/// The host's scene: lamps over a line of floor points, and a wall between x = 0.45 and 0.5 that is
+/// 0.4 high.
 struct Lamp {
     x: f32,
     height: f32,

@@ -1,10 +1,12 @@
-//! Rays a second of one thread on a scene file, by kind and layout; with a second argument the triangles and rays go to a file, for
-//! another tracer to answer (`ray_rates_embree.py` beside this file does it with Embree).
+//! Rays a second of one thread on a scene file, by kind and layout; with a second argument the
+//! triangles and rays go to a file, for another tracer to answer (`ray_rates_embree.py` beside this
+//! file does it with Embree).
 //!
 //! `cargo run --release --example ray_rates -- scenes/cornell.pbrt [rays.bin]`
 //!
-//! Primary rays of a 512² picture, cosine-distributed bounces from their hits, shadow rays to uniform points of the lights. Best of five. Only
-//! triangles are written; a scene with other shapes has no file.
+//! Primary rays of a 512² picture, cosine-distributed bounces from their hits, shadow rays to
+//! uniform points of the lights. Best of five. Only triangles are written; a scene with other
+//! shapes has no file.
 
 use std::fs::File;
 use std::hint::black_box;
@@ -94,8 +96,8 @@ fn rays(world: &World) -> [Vec<Ray>; 3] {
     found
 }
 
-/// Little-endian: numbers of triangles and of the three kinds of rays (u32), corners (9 × f32 a triangle), then origin, direction and length of
-/// every ray (7 × f32).
+/// Little-endian: numbers of triangles and of the three kinds of rays (u32), corners (9 × f32 a
+/// triangle), then origin, direction and length of every ray (7 × f32).
 fn write(path: &Path, scene: &Scene, rays: &[Vec<Ray>; 3]) -> Result<(), Failure> {
     let mut corners: Vec<[f32; 3]> = Vec::new();
     for instance in &scene.instances {

@@ -1,4 +1,5 @@
-//! Shadow noise of `restir-di` by visibility policy: the RMSPE inside penumbrae at steady state, with shadow rays and bias beside it.
+//! Shadow noise of `restir-di` by visibility policy: the RMSPE inside penumbrae at steady state,
+//! with shadow rays and bias beside it.
 //!
 //! ```sh
 //! cargo run --release --example visibility                      # scenes/penumbra.pbrt and a shared scene, 64x64
@@ -39,7 +40,8 @@ const MEANT: u32 = 10;
 const RESTARTS: u64 = 24;
 const SAMPLES: u32 = 4096;
 
-/// The first is what the others are compared with: stored outcomes of any age, but only for the pixel that they were found at.
+/// The first is what the others are compared with: stored outcomes of any age, but only for the
+/// pixel that they were found at.
 const POLICIES: &[&str] = &[
     "restir-di:mis=constant,visibility=reuse,visibility-age=255,visibility-distance=0",
     "restir-di:mis=constant,visibility=wis",
@@ -118,7 +120,7 @@ fn mean(picture: &Picture, mask: &[bool]) -> f64 {
 }
 
 fn shot(size: [u32; 2]) -> Shot {
-    Shot { size, depth: 2, filter: Filter::Point, run: 1, effort: 1, fps: 30 }
+    Shot { size, depth: 2, filter: Filter::Point, run: 1, effort: 1.0, fps: 30 }
 }
 
 fn figure(moments: &Moments, scale: f64) -> String {

@@ -53,7 +53,7 @@
 //!
 //! // The scene made ready for rays, a technique by name, and the loop that runs it.
 //! let stage = Stage::new(scene)?;
-//! let shot = Shot { size: [32, 32], depth: 2, filter: Filter::Box, run: 1, effort: 4, fps: 30 };
+//! let shot = Shot { size: [32, 32], depth: 2, filter: Filter::Box, run: 1, effort: 4.0, fps: 30 };
 //! let mut frames = FrameLoop::new(Arc::from(parse("nee")?), &stage, shot)?;
 //! let mut mean = 0.0;
 //! for _ in 0..8 {

@@ -11,9 +11,15 @@ fn pixel_seeds(pixel: u32) -> vec4<u32> {
     return pcg4d(vec4<u32>(inputs.run, pixel, inputs.frame));
 }
 
-// How many independent estimates a pixel gets in this frame.
-fn estimates_of(pixel: u32) -> u32 {
-    return inputs.effort;
+// How many independent estimates a pixel gets in this frame: one more than others where its number
+// in a lattice, shifted anew in each frame, is below the effort's fraction.
+fn estimates_of(x: u32, y: u32) -> u32 {
+    if inputs.extra_share == 0u {
+        return inputs.effort;
+    }
+    var random = stream_of(0u, PURPOSE_EFFORT, 0u);
+    let place = x * 3242174889u + y * 2447445414u + stream_word(&random);
+    return inputs.effort + select(0u, 1u, place < inputs.extra_share);
 }
 
 fn sample_position(camera_frame: u32, x: u32, y: u32, sample: u32) -> vec2f {

@@ -1,7 +1,8 @@
-//! A steady frame of a still scene allocates nothing: every buffer is the loop's, made when the loop is. And what is made is given back (Z4, Z8 of
-//! `docs/testing.md`).
+//! A steady frame of a still scene allocates nothing: every buffer is the loop's, made when the
+//! loop is. And what is made is given back (Z4, Z8 of `docs/testing.md`).
 //!
-//! A test program of its own, because it counts what the whole process allocates; its tests take turns.
+//! A test program of its own, because it counts what the whole process allocates; its tests take
+//! turns.
 
 use std::alloc::System;
 use std::sync::{Arc, Mutex};
@@ -28,7 +29,7 @@ const WINDOWS: usize = 3;
 fn allocations(spec: &str, size: [u32; 2], look: impl Fn(&Frame<'_>)) -> usize {
     // Enough lights for tiles of them.
     let stage = Stage::new(generate("many-lights:1200").unwrap()).unwrap();
-    let shot = Shot { size, depth: 3, filter: Filter::Point, run: 1, effort: 2, fps: 30 };
+    let shot = Shot { size, depth: 3, filter: Filter::Point, run: 1, effort: 2.0, fps: 30 };
     let technique = Arc::from(techniques::parse(spec).unwrap());
     let mut frames = FrameLoop::new(technique, &stage, shot).unwrap();
     for _ in 0..WARM_UP {
@@ -70,7 +71,7 @@ fn what_is_made_is_given_back() {
     let _turn = TURN.lock().unwrap();
     let make = |run: u64| {
         let stage = Stage::new(generate("many-lights:8").unwrap()).unwrap();
-        let shot = Shot { size: [8, 6], depth: 3, filter: Filter::Box, run, effort: 1, fps: 30 };
+        let shot = Shot { size: [8, 6], depth: 3, filter: Filter::Box, run, effort: 1.0, fps: 30 };
         let specs = ["nee", "restir-di", "restir-di:visibility=wis-cv,rounds=2"];
         let spec = specs[run as usize % specs.len()];
         let technique = Arc::from(techniques::parse(spec).unwrap());

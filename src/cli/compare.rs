@@ -55,7 +55,7 @@ Examples:
   afterimage compare scenes/plates.pbrt --frame-time 100 --restarts 40
         as many estimates a frame as fit into 100 ms
   afterimage compare many-lights:10000:7 --techniques 'nee;bsdf' --spp 4
-        equal effort: 4 estimates a pixel each
+        equal effort: 4.0 estimates a pixel each
   afterimage compare scenes/moving.pbrt --frames 32 --check
         judge the 32nd frame; exit status 1 if an unbiased technique is found biased")]
 pub(super) struct CompareArgs {

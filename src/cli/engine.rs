@@ -95,7 +95,7 @@ impl Engine {
                 FilterArg::Box => Filter::Box,
             },
             run: args.seed,
-            effort: 1,
+            effort: 1.0,
             fps: args.fps,
         };
         let name = loaded.name.clone();
@@ -139,7 +139,7 @@ impl Engine {
         effort: u32,
         seed: u64,
     ) -> Result<FrameLoop> {
-        let shot = Shot { effort, run: seed, ..self.shot };
+        let shot = Shot { effort: effort as f32, run: seed, ..self.shot };
         let frames = FrameLoop::with_backend(technique.clone(), &self.stage, shot, &self.backend)?;
         if self.device().is_some() && frames.runs_on().is_none() {
             let spec = technique.spec();
@@ -164,7 +164,7 @@ impl Engine {
         effort: u32,
         seed: u64,
     ) -> Result<FrameLoop> {
-        let shot = Shot { effort, run: seed, ..self.shot };
+        let shot = Shot { effort: effort as f32, run: seed, ..self.shot };
         FrameLoop::new(technique.clone(), &self.stage, shot)
     }
 

@@ -94,7 +94,7 @@ pub(super) fn run(args: &LagArgs) -> Result<Status> {
     let new = changed(&old, args.change)?;
 
     let stage = Stage::moving(old.clone())?;
-    let shot = Shot { effort: args.spp, ..engine.shot };
+    let shot = Shot { effort: args.spp as f32, ..engine.shot };
     let mut frames = FrameLoop::with_backend(technique.clone(), &stage, shot, &engine.backend)?;
     let [before, after] = references(args, &engine, [&old, &new], &mut frames)?;
     let step = Step::new(&before, &after)?;

@@ -68,7 +68,7 @@ pub(super) fn run(args: &PlanArgs) -> Result<Status> {
 
 /// Time of each pass and work of a pixel in a steady frame.
 fn measured(engine: &Engine, technique: &Arc<dyn Technique>, count: u32) -> Result<String> {
-    let mut frames = engine.start(technique, engine.shot.effort, engine.shot.run)?;
+    let mut frames = engine.start(technique, engine.shot.effort as u32, engine.shot.run)?;
     let progress = Progress::new("frames", u64::from(count));
     let mut passes: Vec<(&'static str, Vec<f64>)> = Vec::new();
     let mut totals = Vec::new();

@@ -195,7 +195,7 @@ pub(super) fn seen_emission(engine: &Engine) -> Result<Picture> {
     // Depth 1 renders nothing but what is seen directly.
     let shot = crate::plan::Shot {
         depth: 1,
-        effort: 1,
+        effort: 1.0,
         run: seed(SEED, Part::Reference, 1, 0),
         ..engine.shot
     };

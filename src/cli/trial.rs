@@ -633,7 +633,7 @@ mod tests {
         let scene = crate::scene::load::load(&scene).unwrap().scene;
         let scene = motion::only(&scene, Motion::Light, 0.2).unwrap();
         let filter = crate::plan::Filter::Point;
-        let shot = Shot { size: [16, 16], depth: 2, filter, run: 1, effort: 1, fps: 30 };
+        let shot = Shot { size: [16, 16], depth: 2, filter, run: 1, effort: 1.0, fps: 30 };
         let stage = crate::frame::Stage::new(scene).unwrap();
         let backend = crate::frame::Backend::Cpu;
         Engine { scene: "x".into(), name: "x".into(), stage, shot, backend }

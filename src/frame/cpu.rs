@@ -124,13 +124,14 @@ mod tests {
             skipped: Vec::new(),
             constants: Vec::new(),
             still: false,
+            chains: false,
             emitters: false,
             claim: Claim::Unbiased,
         }
     }
 
     fn shot(size: [u32; 2]) -> Shot {
-        Shot { size, depth: 2, filter: Filter::Point, run: 3, effort: 1, fps: 30 }
+        Shot { size, depth: 2, filter: Filter::Point, run: 3, effort: 1.0, fps: 30 }
     }
 
     /// Over many frames: each pixel is in one tile, all of whose pixels are in one band, and grids

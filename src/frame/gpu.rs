@@ -323,7 +323,8 @@ impl Runner {
         let mut inputs = Inputs {
             run: [shot.run as u32, (shot.run >> 32) as u32],
             frame: frame.index,
-            effort: shot.effort,
+            effort: shot.estimates()[0],
+            extra_share: shot.extra_share(),
             size: shot.size,
             depth: shot.depth,
             box_filter: u32::from(shot.filter == Filter::Box),

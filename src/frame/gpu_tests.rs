@@ -16,7 +16,7 @@ fn device() -> Option<Arc<Gpu>> {
 }
 
 fn shot(size: [u32; 2], depth: u32) -> Shot {
-    Shot { size, depth, filter: Filter::Point, run: 7, effort: 1, fps: 30 }
+    Shot { size, depth, filter: Filter::Point, run: 7, effort: 1.0, fps: 30 }
 }
 
 fn stage(name: &str) -> Stage {
@@ -218,17 +218,18 @@ fn every_pass_gives_the_same_from_the_same_bytes() {
     }
 }
 
-/// The same of what few plans have: several chains of a pixel, exchanges of neighbours, spatial
-/// results that are not kept.
+/// The same of what few plans have: several chains of a pixel, efforts with a fraction, exchanges
+/// of neighbours, spatial results that are not kept.
 #[test]
 fn every_pass_of_less_common_plans_gives_the_same_from_the_same_bytes() {
     let Some(gpu) = device() else { return };
     let still = still();
-    let chains = Shot { effort: 2, ..shot([64, 48], 2) };
-    for spec in
-        ["ris", "restir-di:neighbours=0,boiling=0.3", "restir-di:visibility=wis-cv,mutations=1"]
-    {
+    let chains = Shot { effort: 2.0, ..shot([64, 48], 2) };
+    for spec in ["restir-di:neighbours=0,boiling=0.3", "restir-di:visibility=wis-cv,mutations=1"] {
         passes_agree(&gpu, &still, spec, chains);
+    }
+    for spec in ["nee", "ris"] {
+        passes_agree(&gpu, &still, spec, Shot { effort: 1.4, ..shot([64, 48], 3) });
     }
     passes_agree(&gpu, &still, "restir-di:taps=xor,neighbours=2", shot([64, 48], 2));
     let display = "restir-di:spatial=display,rounds=3,visibility=wis-cv";

@@ -183,7 +183,8 @@ impl FrameLoop {
     /// A loop before its first frame, on the CPU.
     ///
     /// # Errors
-    /// A picture without pixels or with 2³¹ or more, a depth of 0, no effort, no frames a second;
+    /// A picture without pixels or with 2³¹ or more, a depth of 0, an effort below 1 or, for chains of
+    /// reservoirs, one that is not whole; no frames a second;
     /// parameters that [`Technique::validate`] refuses.
     pub fn new(technique: Arc<dyn Technique>, stage: &Stage, shot: Shot) -> Result<Self> {
         Self::with_backend(technique, stage, shot, &Backend::Cpu)
@@ -206,13 +207,23 @@ impl FrameLoop {
                 "the picture is {width}x{height}, but must have between 1 and 2^31 - 1 pixels"
             )));
         }
-        if depth == 0 || effort == 0 || fps == 0 {
+        if depth == 0 || fps == 0 {
+            return Err(Error::usage(format!("depth {depth}, fps {fps}: each must be at least 1")));
+        }
+        if !(1.0..=Shot::MOST_EFFORT).contains(&effort) {
             return Err(Error::usage(format!(
-                "depth {depth}, effort {effort}, fps {fps}: each must be at least 1"
+                "effort is {effort}, but must be in [1, {}]",
+                Shot::MOST_EFFORT
             )));
         }
         technique.validate()?;
         let plan = technique.plan(&stage.facts, &shot);
+        if plan.chains && effort.fract() != 0.0 {
+            return Err(Error::usage(format!(
+                "effort is {effort}, but `{}` has as many chains of reservoirs a pixel, so it must be whole",
+                plan.technique
+            )));
+        }
         let world = stage.first.clone();
         // Here, so that loops made one after another and run side by side share the tree instead of building one each.
         if plan.emitters {

@@ -73,9 +73,10 @@ struct Inputs {
     // is a previous frame.
     instances: vec4<u32>,
     srgb: u32,
+    // The share of pixels with one estimate more than `effort`, in 2^-32 of the picture.
+    extra_share: u32,
     padding_a: u32,
     padding_b: u32,
-    padding_c: u32,
     camera: CameraRays,
     camera_before: CameraRays,
     projection: Projection,

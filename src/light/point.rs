@@ -381,7 +381,8 @@ impl Lights {
     }
 
     /// The emitter of [`Lights::point_towards`] without the detour over u and v, to rounding.
-    #[inline]
+    // A function of its own would be compiled without the vectors of the loop that calls it.
+    #[inline(always)]
     #[must_use]
     pub fn emitter_towards(
         &self,

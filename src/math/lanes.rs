@@ -224,4 +224,20 @@ mod tests {
             });
         }
     }
+
+    /// With every choice of features vectors are found where the machine has them: without `pulp`'s
+    /// `x86-v3` all of it runs one lane at a time, with the same bits and in silence.
+    #[cfg(target_arch = "x86_64")]
+    #[test]
+    fn vectors_are_used_where_the_machine_has_them() {
+        if std::arch::is_x86_feature_detected!("avx2")
+            && std::arch::is_x86_feature_detected!("fma")
+            && std::arch::is_x86_feature_detected!("bmi2")
+        {
+            let arch = format!("{:?}", pulp::Arch::new());
+            assert!(arch.starts_with('V'), "light samples run on `{arch}`");
+        } else {
+            println!("skipped: this machine has no AVX2");
+        }
+    }
 }

@@ -58,6 +58,7 @@ impl<'a> Builder<'a> {
             skipped: Vec::new(),
             constants: Vec::new(),
             still: facts.is_still(shot),
+            chains: false,
             emitters: false,
             claim: Claim::Unbiased,
         };
@@ -108,6 +109,11 @@ impl<'a> Builder<'a> {
     /// Fixes a value for all frames.
     pub fn constant(&mut self, name: &'static str, value: u32) {
         self.plan.constants.push((name, value));
+    }
+
+    /// Lets the effort count chains of reservoirs.
+    pub fn count_chains(&mut self) {
+        self.plan.chains = true;
     }
 
     /// Lets kernels ask which emitters a ray meets.

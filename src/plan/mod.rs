@@ -178,6 +178,8 @@ pub struct Plan {
     /// Whether every frame has the same receivers, lights and occluders: nothing moves, and the
     /// filter is a point.
     pub still: bool,
+    /// Whether the effort counts chains of reservoirs, so that it must be whole.
+    pub chains: bool,
     /// Whether kernels ask which emitters a ray meets ([`crate::world::World::emitters`]).
     pub emitters: bool,
     /// Whether the answer is exact in the mean.

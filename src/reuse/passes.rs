@@ -169,6 +169,7 @@ pub(crate) fn add<R: StoredReservoir, P: Policy>(
     settings: &Settings,
     initial: Initial,
 ) {
+    plan.count_chains();
     let chains = plan.shot.chains();
     let still = plan.still();
     let Settings { rounds, neighbours, mutations, .. } = *settings;

@@ -1,8 +1,6 @@
 //! Spatial reuse: each pixel merges the reservoirs of a few neighbours with similar surfaces into its
 //! own, round after round; the last round also shades.
 
-use std::cell::OnceCell;
-
 use bytemuck::Zeroable;
 
 use glam::Vec3;
@@ -32,25 +30,13 @@ struct RoundInputs<'r, R> {
     offsets: Offsets,
 }
 
-/// The taps of a pixel that fit, with their receivers, each made when a weight first needs it.
+/// The taps of a pixel that fit.
 struct Found<'r, D: Domain> {
     domain: &'r D,
     records: &'r [D::Record],
     hits: &'r [PrimaryHit],
     taps: [Tap; MAX_NEIGHBOURS],
-    receivers: [OnceCell<D::Receiver>; MAX_NEIGHBOURS],
     count: usize,
-}
-
-impl<D: Domain> Found<'_, D> {
-    fn receiver(&self, at: usize) -> &D::Receiver {
-        self.receivers[at].get_or_init(|| {
-            let index = self.taps[at].index;
-            let width = self.domain.frame().shot.size[0];
-            let hit = self.hits[index as usize].get().expect("a surface, since it has confidence");
-            self.domain.receiver(hit, Pixel { index, x: index % width, y: index / width })
-        })
-    }
 }
 
 /// The neighbours' reservoirs of one chain.
@@ -67,8 +53,10 @@ impl<'r, D: Domain> Neighbours<'_, 'r, D> {
 }
 
 impl<D: Domain> OtherInputs<D::Sample, D::Receiver, D::Measure, Vec3> for Neighbours<'_, '_, D> {
+    // A receiver is made when a weight asks for it. (Tried and slower: to keep it for other chains;
+    // an array of eight that are mostly empty costs more to make.)
     type Domain<'s>
-        = &'s D::Receiver
+        = D::Receiver
     where
         Self: 's;
 
@@ -88,8 +76,12 @@ impl<D: Domain> OtherInputs<D::Sample, D::Receiver, D::Measure, Vec3> for Neighb
     }
 
     #[inline]
-    fn domain(&self, at: usize) -> &D::Receiver {
-        self.found.receiver(at)
+    fn domain(&self, at: usize) -> D::Receiver {
+        let Found { domain, hits, taps, .. } = self.found;
+        let index = taps[at].index;
+        let width = domain.frame().shot.size[0];
+        let hit = hits[index as usize].get().expect("a surface, since it has confidence");
+        domain.receiver(hit, Pixel { index, x: index % width, y: index / width })
     }
 }
 
@@ -108,12 +100,12 @@ struct Outcome<R> {
 }
 
 /// What the rays of one merge said.
-struct Seen {
+struct Seen<'c> {
     /// By input: whether its sample is seen from here.
     inputs: [bool; MAX_NEIGHBOURS + 1],
     /// The own sample's policy bits, after a ray if one was needed.
     own_bits: u16,
-    counters: Counters,
+    counters: &'c mut Counters,
 }
 
 impl<D: Domain, P: Policy> Reuse<'_, D, P> {
@@ -144,48 +136,58 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
         let mut map = self.domain.shift();
         for (local, pixel) in pixels.enumerate() {
             let first = pixel.index as usize * chains;
+            let own = local * chains..(local + 1) * chains;
             // Whether a surface scatters is the same for all chains.
             let scatters = read.records[first].confidence() > 0.0;
-            let hit = read.hits[pixel.index as usize].get().filter(|_| scatters);
-            let receiver = hit.map(|hit| self.domain.receiver(hit, pixel));
-            let found = receiver.as_ref().map(|_| self.taps(&read, pixel, &mut counters));
+            let Some(hit) = read.hits[pixel.index as usize].get().filter(|_| scatters) else {
+                if let Some(out) = out.get_mut(own.clone()) {
+                    out.fill(D::Record::zeroed());
+                }
+                if let Some(out) = control_out.get_mut(own) {
+                    out.fill(Control::default());
+                }
+                if let Some(out) = radiance.get_mut(local) {
+                    *out = [0.0; 3];
+                }
+                continue;
+            };
+            let receiver = self.domain.receiver(hit, pixel);
+            let mut found = Found {
+                domain: self.domain,
+                records: read.records,
+                hits: read.hits,
+                taps: [Tap::default(); MAX_NEIGHBOURS],
+                count: 0,
+            };
+            self.find(&read, pixel, &mut found, &mut counters);
             let mut sum = Vec3::ZERO;
-            for chain in 0..chains {
-                let at = local * chains + chain;
-                let Outcome { record, control, shown } = match (&receiver, &found) {
-                    (Some(receiver), Some(found)) => {
-                        let control = match (P::CONTROL, in_place) {
-                            (false, _) => Control::default(),
-                            (true, false) => controls[first + chain],
-                            (true, true) => control_out[at],
-                        };
-                        let record = read.records[first + chain];
-                        let own = Own::<D> { record, control, receiver };
-                        let others = Neighbours { found, chain, chains };
-                        let stream = |round| self.stream(pixel, Purpose::Selection, round, chain);
-                        let mut random = stream(16 + round.number);
-                        self.merge_neighbours(
-                            round,
-                            &own,
-                            &others,
-                            &mut map,
-                            &mut random,
-                            &mut counters,
-                        )
-                    }
-                    _ => Outcome {
-                        record: D::Record::zeroed(),
-                        control: Control::default(),
-                        shown: Vec3::ZERO,
-                    },
+            for (chain, at) in own.enumerate() {
+                let control = match (P::CONTROL, in_place) {
+                    (false, _) => Control::default(),
+                    (true, false) => controls[first + chain],
+                    (true, true) => control_out[at],
                 };
+                let own =
+                    Own::<D> { record: read.records[first + chain], control, receiver: &receiver };
+                let others = Neighbours { found: &found, chain, chains };
+                let mut random = self.stream(pixel, Purpose::Selection, 16 + round.number, chain);
+                let outcome = self.merge_neighbours(
+                    round,
+                    &own,
+                    &others,
+                    &mut map,
+                    &mut random,
+                    &mut counters,
+                );
                 if let Some(out) = out.get_mut(at) {
-                    *out = record;
+                    *out = outcome.record;
                 }
                 if let Some(out) = control_out.get_mut(at) {
-                    *out = control;
+                    *out = outcome.control;
                 }
-                sum += if round.last { finite_or_counted(shown, &mut counters) } else { shown };
+                if round.last {
+                    sum += finite_or_counted(outcome.shown, &mut counters);
+                }
             }
             if let Some(out) = radiance.get_mut(local) {
                 *out = self.mean(sum).to_array();
@@ -194,24 +196,17 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
         counters + D::work(&map)
     }
 
-    /// The taps of a pixel whose surfaces fit.
+    /// Finds the taps of a pixel whose surfaces fit.
     #[inline]
-    fn taps<'r>(
-        &'r self,
-        read: &RoundInputs<'r, D::Record>,
+    fn find(
+        &self,
+        read: &RoundInputs<'_, D::Record>,
         pixel: Pixel,
+        found: &mut Found<'_, D>,
         counters: &mut Counters,
-    ) -> Found<'r, D> {
+    ) {
         let (inputs, chains) = (self.domain.frame(), self.chains());
         let similar = Similar::new(read.hits, read.normals, pixel);
-        let mut found = Found {
-            domain: self.domain,
-            records: read.records,
-            hits: read.hits,
-            taps: [Tap::default(); MAX_NEIGHBOURS],
-            receivers: [const { OnceCell::new() }; MAX_NEIGHBOURS],
-            count: 0,
-        };
         read.offsets.visit(inputs, pixel, |tap| {
             let fits = |tap: &Tap| {
                 read.records[tap.index as usize * chains].confidence() > 0.0
@@ -226,7 +221,6 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
             }
         });
         counters.spatial_merges += (found.count * chains) as u64;
-        found
     }
 
     /// Merges one chain of a pixel with that of its neighbours.
@@ -245,15 +239,14 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
         let mut seen = Seen {
             inputs: [false; MAX_NEIGHBOURS + 1],
             own_bits: own.record.policy_bits(),
-            counters: Counters::default(),
+            counters,
         };
         let mut reservoir = Rich::default();
         let merged =
             merge(map, self.settings.mis, &canonical, others, &mut reservoir, random, |term| {
                 self.carried(decoupled, own, &canonical, term, &mut seen)
             });
-        *counters = *counters + seen.counters;
-        counters.weights_rejected += u64::from(reservoir.rejected());
+        seen.counters.weights_rejected += u64::from(reservoir.rejected());
 
         let average = reservoir.inner().visibility();
         let (age, bits) = self.inherited_from(decoupled, own, others, merged.source, &seen);
@@ -264,7 +257,7 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
             let share = canonical.finished.confidence / merged.finished.confidence;
             let correction = self.correction(share, own.control, &canonical);
             let state = DecoupledState { radiance: reservoir.radiance(), correction };
-            let estimate = finite_or_counted(ControlVariate::radiance(&state), counters);
+            let estimate = finite_or_counted(ControlVariate::radiance(&state), seen.counters);
             let visible = match merged.source {
                 0 => own.control.visible(),
                 source => seen.inputs[source],
@@ -275,7 +268,7 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
             (false, _) => Vec3::ZERO,
             (true, true) => control.estimate(),
             (true, false) if decoupled => reservoir.radiance(),
-            (true, false) => self.shown(own.receiver, &merged, &mut bits, counters),
+            (true, false) => self.shown(own.receiver, &merged, &mut bits, seen.counters),
         };
         let record = D::Record::new(&merged.finished, merged.target, age, bits);
         Outcome { record, control, shown }
@@ -290,14 +283,14 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
         own: &Own<'_, D>,
         canonical: &InputOf<'_, D>,
         term: &Term<D::Sample, Vec3>,
-        seen: &mut Seen,
+        seen: &mut Seen<'_>,
     ) -> (((), f32), Vec3) {
         let shows = P::CONTROL || decoupled;
         let mut shown = Vec3::ZERO;
         let mut visibility = self.policy.average(own.record.policy_bits());
         if let Some(shifted) = &term.shifted {
             let traced = P::TRACES_TERMS || (decoupled && !D::IN_TARGET);
-            let visible = !traced || self.look(own.receiver, shifted.sample, &mut seen.counters).1;
+            let visible = !traced || self.look(own.receiver, shifted.sample, seen.counters).1;
             seen.inputs[term.input] = visible;
             visibility = f32::from(u8::from(visible));
             if shows && visible {
@@ -311,9 +304,8 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
             } else {
                 self.policy.outcome(seen.own_bits).unwrap_or_else(|| {
                     let sample = canonical.finished.sample;
-                    let visible = sample.is_some_and(|sample| {
-                        self.look(own.receiver, sample, &mut seen.counters).1
-                    });
+                    let visible = sample
+                        .is_some_and(|sample| self.look(own.receiver, sample, seen.counters).1);
                     seen.own_bits = self.policy.traced(seen.own_bits, visible);
                     visible
                 })
@@ -334,7 +326,7 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
         own: &Own<'_, D>,
         others: &Neighbours<'_, '_, D>,
         source: usize,
-        seen: &Seen,
+        seen: &Seen<'_>,
     ) -> (u32, u16) {
         if source == 0 {
             return (own.record.age(), seen.own_bits);

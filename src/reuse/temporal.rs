@@ -62,9 +62,10 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
         let history = passes::history::<D::Record>(inputs);
         let pixels = band.pixels();
         let records: &mut [D::Record] = band.take(inputs.id(Keys::<D::Record>::RESERVOIRS));
-        for (pixel, records) in pixels.zip(records.chunks_exact_mut(chains)) {
+        for (local, pixel) in pixels.enumerate() {
             let first = pixel.index as usize * chains;
-            for (chain, record) in records.iter_mut().enumerate() {
+            for chain in 0..chains {
+                let record = &mut records[local * chains + chain];
                 let previous = self.aged(history[first + chain]);
                 if record.confidence() == 0.0 || previous.confidence() == 0.0 {
                     continue;
@@ -118,18 +119,21 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
                 continue;
             }
             let receiver = self.domain.receiver(hit, pixel);
-            let found = if inputs.plan.still {
-                Some((pixel, None))
+            let receiver_before;
+            let (there, before) = if inputs.plan.still {
+                (pixel, &receiver)
             } else {
-                reproject(inputs, &hit, self.domain.normal(&receiver), pixel).and_then(
-                    |(there, hit)| Some((there, Some(self.domain.receiver_before(hit, there)?))),
-                )
+                let found = reproject(inputs, &hit, self.domain.normal(&receiver), pixel);
+                let Some((there, hit)) = found else {
+                    counters.reuse_rejected += 1;
+                    continue;
+                };
+                receiver_before = self.domain.receiver_before(hit, there);
+                match &receiver_before {
+                    Some(before) => (there, before),
+                    None => continue,
+                }
             };
-            let Some((there, before)) = found else {
-                counters.reuse_rejected += 1;
-                continue;
-            };
-            let before = before.as_ref().unwrap_or(&receiver);
             for (chain, at) in own.enumerate() {
                 let from = there.index as usize * chains + chain;
                 let previous = self.aged(history[from]);

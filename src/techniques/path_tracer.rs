@@ -106,22 +106,19 @@ impl PathTracer {
     ) -> Counters {
         let shot = inputs.shot;
         let limits = Limits { depth: shot.depth, roulette_after: self.roulette_after };
+        let pixels = band.pixels();
         let radiance: &mut [[f32; 3]] = band.take(Plan::RADIANCE);
         let mut counters = Counters::default();
-        let mean = 1.0 / shot.effort as f32;
         match shot.filter {
             Filter::Point => {
                 let hits: &[PrimaryHit] = inputs.read(Plan::HITS);
-                let first = band.range.start * band.width;
-                for (local, out) in radiance.iter_mut().enumerate() {
-                    let pixel = first + local as u32;
+                for (pixel, out) in pixels.zip(radiance) {
                     let mut sum = Vec3::ZERO;
-                    if let Some(hit) = hits[pixel as usize].get() {
-                        let position =
-                            inputs.sample_position(pixel % band.width, pixel / band.width, 0);
-                        let direction = inputs.camera.ray(position).direction;
-                        for sample in 0..shot.effort {
-                            let seed = inputs.seeds(pixel).seed(sample);
+                    let estimates = inputs.estimates(pixel);
+                    if let Some(hit) = hits[pixel.index as usize].get() {
+                        let direction = inputs.primary_direction(pixel);
+                        for sample in 0..estimates {
+                            let seed = inputs.seeds(pixel.index).seed(sample);
                             let path = scattered_radiance::<LIGHTS, F>(
                                 inputs.world,
                                 filter,
@@ -133,18 +130,16 @@ impl PathTracer {
                             sum += finite_or_counted(path, &mut counters);
                         }
                     }
-                    *out = (sum * mean).to_array();
+                    *out = (sum * (1.0 / estimates as f32)).to_array();
                 }
             }
             Filter::Box => {
                 let emission: &mut [[f32; 3]] = band.take(Plan::EMISSION);
-                let first = band.range.start * band.width;
-                for (local, (out, seen)) in radiance.iter_mut().zip(emission).enumerate() {
-                    let pixel = first + local as u32;
+                for (pixel, (out, seen)) in pixels.zip(radiance.iter_mut().zip(emission)) {
                     let (mut sum, mut direct) = (Vec3::ZERO, Vec3::ZERO);
-                    for sample in 0..shot.effort {
-                        let position =
-                            inputs.sample_position(pixel % band.width, pixel / band.width, sample);
+                    let estimates = inputs.estimates(pixel);
+                    for sample in 0..estimates {
+                        let position = inputs.sample_position(pixel.x, pixel.y, sample);
                         let ray = inputs.camera.ray(position);
                         counters.primary_rays += 1;
                         let primary = Ray {
@@ -158,7 +153,7 @@ impl PathTracer {
                         };
                         direct +=
                             emitted(inputs.world, &inputs.world.accel.point(&hit), ray.direction);
-                        let seed = inputs.seeds(pixel).seed(sample);
+                        let seed = inputs.seeds(pixel.index).seed(sample);
                         let path = scattered_radiance::<LIGHTS, F>(
                             inputs.world,
                             filter,
@@ -169,6 +164,7 @@ impl PathTracer {
                         );
                         sum += finite_or_counted(path, &mut counters);
                     }
+                    let mean = 1.0 / estimates as f32;
                     *out = (sum * mean).to_array();
                     *seen = (direct * mean).to_array();
                 }
@@ -192,7 +188,7 @@ impl Technique for PathTracer {
 
     fn plan(&self, facts: &SceneFacts, shot: &Shot) -> Plan {
         let mut plan = Builder::new(self.spec(), facts, shot);
-        let samples = u64::from(shot.effort);
+        let samples = u64::from(shot.most_estimates());
         let bounces = u64::from(shot.depth.saturating_sub(1)) * samples;
         let sampled = match self.lights {
             LightSampling::None => 0,
@@ -203,7 +199,7 @@ impl Technique for PathTracer {
             |writes| NewPass::pixels("paths", 0, writes).rays(bounces, bounces * sampled, 0);
         match shot.filter {
             Filter::Point => {
-                if shot.effort > 1 {
+                if shot.effort > 1.0 {
                     plan.skip("primary rays after a pixel's first sample", "the filter is a point");
                 }
                 plan.primary_hits();

@@ -279,7 +279,8 @@ fn a_ladder_prints_and_writes_a_row_a_rung() {
         assert!(row.contains(rung) && row.contains("| unbiased | 1, 3 | pass"), "{row}");
     }
     assert_eq!(std::fs::read_to_string(place.path("ladder.md")).unwrap(), ran.out);
-    // A rung alone has the seeds, and so the figures, that it has among all. (The clock may give it more restarts.)
+    // A rung alone has the seeds, and so the figures, that it has among all. (The clock may give it
+    // more restarts.)
     let alone =
         place.run(&line.replace("--ladder", "--ladder --rungs occluder --restarts 30")).done();
     let again = place.run(&line.replace("--ladder", "--ladder --restarts 30")).done();
@@ -307,7 +308,8 @@ fn lag_without_history_is_one_frame() {
 #[test]
 fn a_failed_verdict_is_status_one_only_where_check_asks() {
     let place = Place::new("check");
-    // 16384 pixels x 6 restarts: the standard error of the image is below 0.5 %; a reference 10 % too bright is far from that.
+    // 16384 pixels x 6 restarts: the standard error of the image is below 0.5 %; a reference 10 %
+    // too bright is far from that.
     let line = format!(
         "compare {} --size 64x64 --depth 3 --spp 4 --frames 1 --restarts 6 --curve-restarts 0 --techniques nee --reference-time 5",
         cornell()

@@ -65,7 +65,7 @@ fn shots() -> Vec<Shot> {
     for filter in [Filter::Point, Filter::Box] {
         for size in [[1, 1], [17, 23], [64, 64]] {
             for effort in [1, 3] {
-                all.push(Shot { size, depth: 4, filter, run: 5, effort, fps: 10 });
+                all.push(Shot { size, depth: 4, filter, run: 5, effort: effort as f32, fps: 10 });
             }
         }
     }

@@ -1,4 +1,5 @@
-//! What a scene does not need costs nothing (counters are 0) and changes nothing (bits are those of the scene without it).
+//! What a scene does not need costs nothing (counters are 0) and changes nothing (bits are those of
+//! the scene without it).
 
 use std::sync::Arc;
 
@@ -44,7 +45,8 @@ fn assert_same(a: &Scene, b: &Scene) {
     }
 }
 
-/// Surfaces that are mirrors without a roughness of 0: too smooth for a density, a square below that, a texture that may be.
+/// Surfaces that are mirrors without a roughness of 0: too smooth for a density, a square below
+/// that, a texture that may be.
 #[test]
 fn light_in_surfaces_that_are_nearly_smooth_is_not_left_out() {
     let metal = |scene: &mut Scene, roughness: Roughness| {
@@ -211,7 +213,8 @@ fn primary_rays_of_a_still_scene_are_traced_once() {
         );
         assert_eq!(primary(&still, point), [pixels, 0, 0]);
         assert_eq!(primary(&moving, point), [pixels; 3]);
-        // Each of a pixel's two samples has a ray of its own, unless a pixel's reservoir belongs to one surface.
+        // Each of a pixel's two samples has a ray of its own, unless a pixel's reservoir belongs to
+        // one surface.
         let each = parse(entry.name).unwrap().plan(still.facts(), &boxed).rays_per_pixel()[0];
         assert!(each == 2 || entry.name.contains("ris") || entry.name.contains("restir"));
         assert_eq!(primary(&still, boxed), [each * pixels; 3]);

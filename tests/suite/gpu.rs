@@ -1,4 +1,5 @@
-//! Scene files on both backends. Skipped with a reason where no adapter is; a failure under `AFTERIMAGE_REQUIRE_GPU=1`.
+//! Scene files on both backends. Skipped with a reason where no adapter is; a failure under
+//! `AFTERIMAGE_REQUIRE_GPU=1`.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -41,8 +42,9 @@ fn means(frames: &mut FrameLoop, count: u32) -> [f64; 5] {
     means
 }
 
-/// Two one-sided t tests (α = 10⁻³) place the mean of paired differences, GPU − CPU with equal seeds, within 0.5 % of the picture's mean; no single
-/// pair leaves that margin, since rare decisions by rounding skew the differences.
+/// Two one-sided t tests (α = 10⁻³) place the mean of paired differences, GPU − CPU with equal
+/// seeds, within 0.5 % of the picture's mean; no single pair leaves that margin, since rare
+/// decisions by rounding skew the differences.
 fn assert_equivalent(gpu: &Arc<Gpu>, stage: &Stage, name: &str, spec: &str, how: (Shot, u32, u32)) {
     const DELTA: f64 = 0.005;
     let (shot, frames, restarts) = how;
@@ -90,7 +92,7 @@ const SPECS: [&str; 8] = [
 ];
 
 fn shot(size: [u32; 2], depth: u32) -> Shot {
-    Shot { size, depth, filter: Filter::Point, run: 1, effort: 1, fps: 30 }
+    Shot { size, depth, filter: Filter::Point, run: 1, effort: 1.0, fps: 30 }
 }
 
 /// Done by CI's slow step: minutes, most of them for the driver's compiler.
@@ -115,7 +117,8 @@ fn every_policy_is_equivalent_on_every_scene() {
     assert_equivalent(&gpu, &stage, "veach-ajar", "nee", (shot([48, 27], 3), 1, 16));
 }
 
-/// What is seen through each pixel is the same on a real scene: the same surface but for edges, distances to 10⁻⁴.
+/// What is seen through each pixel is the same on a real scene: the same surface but for edges,
+/// distances to 10⁻⁴.
 #[test]
 fn primary_hits_of_a_real_scene_agree() {
     let Some(gpu) = device() else { return };

@@ -1,6 +1,7 @@
 //! The laws in the documentation of `Technique`, for every entry of the registry.
 //!
-//! The third, that means agree with claims, is what `oracles` tests for unbiased ones; here a biased one must be what it says.
+//! The third, that means agree with claims, is what `oracles` tests for unbiased ones; here a
+//! biased one must be what it says.
 
 use std::sync::Arc;
 
@@ -13,6 +14,11 @@ use afterimage::techniques::{REGISTRY, Technique, parse};
 use glam::{Affine3A, Vec3};
 
 use crate::support::{bits, environment, light, room, shot};
+
+/// Whether a technique has this effort on a stage: chains of reservoirs are whole.
+fn has_effort(technique: &dyn Technique, stage: &Stage, shot: Shot) -> bool {
+    !technique.plan(stage.facts(), &shot).chains || shot.effort.fract() == 0.0
+}
 
 /// Scenes that differ in what they need.
 fn scenes() -> Vec<Scene> {
@@ -40,7 +46,7 @@ fn scenes() -> Vec<Scene> {
 fn shots() -> Vec<Shot> {
     let mut all = Vec::new();
     for filter in [Filter::Point, Filter::Box] {
-        for (depth, effort) in [(1, 1), (2, 1), (6, 1), (6, 3)] {
+        for (depth, effort) in [(1, 1.0), (2, 1.0), (6, 1.0), (6, 3.0), (6, 2.4)] {
             all.push(Shot { filter, depth, effort, ..shot([19, 13], 1, 1) });
         }
     }
@@ -89,8 +95,11 @@ fn counters_stay_within_the_plan_and_buffers_within_reason() {
         let stage = Stage::new(scene).unwrap();
         for entry in REGISTRY {
             for shot in shots() {
-                let technique = Arc::from(parse(entry.name).unwrap());
-                let mut frame_loop = FrameLoop::new(technique, &stage, shot).unwrap();
+                let technique: Arc<dyn Technique> = Arc::from(parse(entry.name).unwrap());
+                let known = has_effort(&*technique, &stage, shot);
+                let frame_loop = FrameLoop::new(technique, &stage, shot);
+                assert_eq!(frame_loop.is_ok(), known, "{} at {shot:?}", entry.name);
+                let Ok(mut frame_loop) = frame_loop else { continue };
                 let plan = frame_loop.plan().clone();
                 assert_eq!(plan.technique, entry.name);
                 let standard = Plan::standard_buffers();
@@ -222,6 +231,9 @@ fn how_the_picture_is_cut_into_bands_changes_no_bit() {
         for spec in specs.chain(["restir-di:tiles=on,boiling=0.5"]) {
             for shot in shots() {
                 let technique = parse(spec).unwrap();
+                if !has_effort(&*technique, &stage, shot) {
+                    continue;
+                }
                 let mut frame_loop =
                     FrameLoop::new(Arc::from(parse(spec).unwrap()), &stage, shot).unwrap();
                 let whole = bits(&frame_loop.render().unwrap().picture());
@@ -255,5 +267,58 @@ fn claims_say_what_a_technique_cannot_see() {
             assert_eq!(claim, Claim::Unbiased);
             assert_eq!(bsdf > 0.0, reference > 0.0);
         }
+    }
+}
+
+/// With an effort of 2.4 a pixel shows just what it shows with an effort of 2 or of 3, so its mean
+/// over its own number of estimates is as unbiased as theirs. Over frames each pixel has the third
+/// estimate with probability 0.4, and within a frame 40 % of the pixels have it, evenly spread.
+#[test]
+fn a_fraction_of_effort_gives_some_pixels_one_estimate_more() {
+    let stage = Stage::new(room()).unwrap();
+    let size = [24, 16];
+    let pixels = (size[0] * size[1]) as usize;
+    for spec in ["nee", "bsdf", "ris"] {
+        let picture = |effort: f32, run: u64| {
+            let shot = Shot { effort, run, ..shot(size, 3, 1) };
+            let technique = Arc::from(parse(spec).unwrap());
+            let mut frames = FrameLoop::new(technique, &stage, shot).unwrap();
+            bits(&frames.render().unwrap().picture())
+        };
+        let runs = 60;
+        let mut thirds = vec![0_u32; pixels];
+        let (mut control, mut told) = (0, 0_u32);
+        for run in 0..runs {
+            let [some, two, three] = [2.4, 2.0, 3.0].map(|effort| picture(effort, run));
+            let mut frame = [0_u32; 4];
+            let mut differ = [0_u32; 4];
+            for pixel in 0..pixels {
+                let (same2, same3) = (some[pixel] == two[pixel], some[pixel] == three[pixel]);
+                assert!(same2 || same3, "{spec}: pixel {pixel} of run {run} shows neither");
+                if two[pixel] == three[pixel] {
+                    continue;
+                }
+                let quarter = pixel / (pixels / 4);
+                differ[quarter] += 1;
+                told += 1;
+                frame[quarter] += u32::from(same3);
+                thirds[pixel] += u32::from(same3);
+                // The planted bug: a mean over the effort in place of the pixel's own number.
+                let wrong = f32::from_bits(three[pixel][0]) * 3.0 / 2.4;
+                control += u32::from([two[pixel][0], three[pixel][0]].contains(&wrong.to_bits()));
+            }
+            for (count, all) in frame.into_iter().zip(differ).filter(|(_, all)| *all > 80) {
+                let share = f64::from(count) / f64::from(all);
+                assert!((share - 0.4).abs() < 0.06, "{spec}: {share} of a quarter in run {run}");
+            }
+        }
+        assert!(control < 40, "{spec}: a wrong mean is not told from a right one {control} times");
+        // A binomial of 60 with p = 0.4 has a standard deviation of 3.8: beyond 5 of them lies 10⁻⁶.
+        let often: Vec<u32> = thirds.iter().copied().filter(|count| *count > 0).collect();
+        assert!(often.len() > pixels / 2, "{spec}: hardly any pixel tells two from three");
+        assert!(often.iter().all(|count| *count <= 24 + 19), "{spec}: {often:?}");
+        let share = f64::from(thirds.iter().sum::<u32>()) / f64::from(told);
+        let error = 5.0 * (0.24 / f64::from(told)).sqrt();
+        assert!((share - 0.4).abs() < error, "{spec}: a third estimate in a share of {share}");
     }
 }

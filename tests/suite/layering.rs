@@ -1,4 +1,5 @@
-//! The import table of `docs/architecture.md`, enforced: a module may use the modules of its own row only.
+//! The import table of `docs/architecture.md`, enforced: a module may use the modules of its own
+//! row only.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -120,7 +121,8 @@ fn sources(folder: &Path, out: &mut Vec<PathBuf>) {
     }
 }
 
-/// Every `crate::name` of a source with its line number; items that only tests see may use anything.
+/// Every `crate::name` of a source with its line number; items that only tests see may use
+/// anything.
 fn imports(text: &str) -> Vec<(usize, String)> {
     let mut found = Vec::new();
     let mut lines = text.lines().enumerate();
@@ -260,4 +262,27 @@ fn the_table_has_no_cycles() {
             );
         }
     }
+}
+
+/// Path seeds are made at one door, `FrameInputs::seeds`: what seeds are can change without a word to
+/// any technique.
+#[test]
+fn path_seeds_are_made_at_one_place() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let mut files = Vec::new();
+    sources(&root, &mut files);
+    let makes = |text: &str| text.contains("path_seed(") || text.contains("PathSeeds::new(");
+    assert!(makes("let seed = path_seed(run, pixel, frame, 0);"), "the planted call is found");
+    let doors: Vec<String> = files
+        .iter()
+        .filter(|file| {
+            let text = fs::read_to_string(file).expect("a source file");
+            makes(text.split("#[cfg(test)]").next().unwrap_or_default())
+        })
+        .map(|file| file.strip_prefix(&root).expect("inside src").display().to_string())
+        .filter(|name| !name.contains("tests"))
+        .collect::<BTreeSet<String>>()
+        .into_iter()
+        .collect();
+    assert_eq!(doors, ["math/rng.rs", "pass.rs"], "where path seeds are made");
 }

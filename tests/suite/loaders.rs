@@ -1,4 +1,5 @@
-//! Do loaders survive arbitrary bytes? Every outcome must be a valid result or a typed error, in bounded memory; a panic fails.
+//! Do loaders survive arbitrary bytes? Every outcome must be a valid result or a typed error, in
+//! bounded memory; a panic fails.
 
 use std::io::Write;
 use std::path::Path;
@@ -9,7 +10,8 @@ use afterimage::scene::load::{
 use afterimage::scene::{ImageData, Mesh};
 use proptest::prelude::*;
 
-/// Every directive and most parameter types, so that a few changed bytes reach deep into the loader.
+/// Every directive and most parameter types, so that a few changed bytes reach deep into the
+/// loader.
 const SCENE: &str = r#"
 Film "rgb" "integer xresolution" [ 64 ] "integer yresolution" 32
 Integrator "path" "integer maxdepth" 4

@@ -1,5 +1,5 @@
-//! The integration tests: one binary, one module a question. Statistical tests state their α and what they can detect; each has a
-//! control that must fail.
+//! The integration tests: one binary, one module a question. Statistical tests state their α and
+//! what they can detect; each has a control that must fail.
 
 #[cfg(feature = "cli")]
 mod cli;
@@ -9,6 +9,7 @@ mod elision;
 mod gpu;
 mod laws;
 mod layering;
+mod learn;
 mod loaders;
 mod metamorphic;
 mod mutations;
@@ -20,4 +21,6 @@ mod planted_reuse;
 mod references;
 mod reuse;
 mod stress;
+mod style;
 mod support;
+mod tiles;

@@ -1,4 +1,5 @@
-//! Two renderings whose relation is known although neither answer is. Exact relations compare bits; the others compare means as `oracles` does.
+//! Two renderings whose relation is known although neither answer is. Exact relations compare bits;
+//! the others compare means as `oracles` does.
 
 use std::sync::Arc;
 
@@ -99,7 +100,7 @@ fn full_room() -> Scene {
 }
 
 fn shots() -> [Shot; 2] {
-    let point = Shot { effort: 2, ..shot([32, 24], 5, 1) };
+    let point = Shot { effort: 2.0, ..shot([32, 24], 5, 1) };
     [point, Shot { filter: Filter::Box, ..point }]
 }
 
@@ -190,7 +191,8 @@ fn swapping_red_and_blue_swaps_the_channels() {
             let original = picture(&Stage::new(scene.clone()).unwrap(), entry.name, shot);
             let swapped = picture(&Stage::new(painted(&scene, swap)).unwrap(), entry.name, shot);
             assert!(bits(&original) != bits(&swapped), "the room has no colours");
-            // A sample is chosen by its luminance, which the swap changes: such pictures agree in the mean only (`oracles`).
+            // A sample is chosen by its luminance, which the swap changes: such pictures agree in
+            // the mean only (`oracles`).
             if !["ris", "restir-di"].contains(&entry.name) {
                 let back: Vec<[u32; 3]> =
                     bits(&swapped).into_iter().map(|[r, g, b]| [b, g, r]).collect();
@@ -219,7 +221,8 @@ fn without_albedo_only_emission_is_seen() {
 
 #[test]
 fn a_longer_path_only_adds_light() {
-    // With the same numbers a path of one segment more is the same path and a term that is not negative.
+    // With the same numbers a path of one segment more is the same path and a term that is not
+    // negative.
     let stage = Stage::new(full_room()).unwrap();
     for shot in shots() {
         for entry in REGISTRY {
@@ -355,7 +358,8 @@ fn a_light_that_nothing_sees_adds_nothing() {
 
 #[test]
 fn a_camera_in_a_mirror_is_a_mirrored_camera() {
-    // The mirror is the plane x = 0; its other side is cut off by it. One segment more leads to it and back.
+    // The mirror is the plane x = 0; its other side is cut off by it. One segment more leads to it
+    // and back.
     let build = |mirrored: bool| {
         let mut scene = lamp(&[tile(0.0, 2.0)], 1.0);
         let x = if mirrored { 0.75 } else { -0.75 };
@@ -395,7 +399,8 @@ fn a_camera_in_a_mirror_is_a_mirrored_camera() {
 
 #[test]
 fn frames_are_independent_of_how_many_are_rendered() {
-    // Without history frame i of a run is the same whether or not others came before, and a long run's mean is that of two short ones.
+    // Without history frame i of a run is the same whether or not others came before, and a long
+    // run's mean is that of two short ones.
     let stage = Stage::new(lamp(&[tile(-2.0, 2.0)], 1.0)).unwrap();
     let shot = statistical();
     let independent = |name: &&str| {
@@ -404,7 +409,7 @@ fn frames_are_independent_of_how_many_are_rendered() {
     for name in unbiased(&stage, &shot).into_iter().filter(independent) {
         let frames = |run: u64, count: u32| -> Vec<f64> {
             let technique = Arc::from(afterimage::techniques::parse(name).unwrap());
-            let shot = Shot { run, effort: 96, ..shot };
+            let shot = Shot { run, effort: 96.0, ..shot };
             let mut frame_loop =
                 afterimage::frame::FrameLoop::new(technique, &stage, shot).unwrap();
             (0..count)

@@ -1,4 +1,5 @@
-//! Do mutations do what they are for? Covariance between neighbours falls, the error of a pixel stays (Sawhney et al. 2024).
+//! Do mutations do what they are for? Covariance between neighbours falls, the error of a pixel
+//! stays (Sawhney et al. 2024).
 
 use std::path::Path;
 use std::sync::Arc;
@@ -16,7 +17,8 @@ use crate::support::{last_frame, shot};
 /// Restarts of each SPEC.
 const RESTARTS: u64 = 96;
 
-/// Frame 30 of [`RESTARTS`] runs from `first` on, so that SPECs can be compared with the same seeds.
+/// Frame 30 of [`RESTARTS`] runs from `first` on, so that SPECs can be compared with the same
+/// seeds.
 fn pictures(stage: &Stage, spec: &str, size: [u32; 2], first: u64) -> Vec<Picture> {
     let technique = Arc::from(parse(spec).unwrap());
     let mut frames = FrameLoop::new(technique, stage, shot(size, 2, 1)).unwrap();
@@ -34,7 +36,7 @@ fn pictures(stage: &Stage, spec: &str, size: [u32; 2], first: u64) -> Vec<Pictur
 fn truth(stage: &Stage, size: [u32; 2]) -> Picture {
     let mut sum = vec![Vec3::ZERO; (size[0] * size[1]) as usize];
     for run in 0..8 {
-        let shot = afterimage::plan::Shot { run: 90 + run, effort: 128, ..shot(size, 2, 1) };
+        let shot = afterimage::plan::Shot { run: 90 + run, effort: 128.0, ..shot(size, 2, 1) };
         let (picture, _) = last_frame(stage, "nee", shot, 1);
         sum.iter_mut().zip(&picture.pixels).for_each(|(s, p)| *s += *p / 8.0);
     }
@@ -44,18 +46,21 @@ fn truth(stage: &Stage, size: [u32; 2]) -> Picture {
 /// What a SPEC must show.
 #[derive(Clone, Copy)]
 enum Expect {
-    /// The covariance falls beyond both 95 % intervals, and the 99 % interval of the error's change lies within ± 3 %.
+    /// The covariance falls beyond both 95 % intervals, and the 99 % interval of the error's change
+    /// lies within ± 3 %.
     Equivalent,
     /// The covariance falls so, and the 99 % interval of the error's change lies below −3 %.
     Better,
 }
 
-/// Relative covariance within 8 pixels and mean squared error, paired by seed, with 1 and 5 mutations against none, at the last of 30 frames.
-/// With `visibility=trace` the target leaves visibility out, as in the paper: what noise a pixel has is whether it sees its sample, and any sample of
-/// the same distribution is as good, so its error stays. With visibility in the target that noise is in W: merging decorrelated neighbours averages
-/// it better, and the error falls, which is the control of the equivalence. Scenes and SPECs were chosen with seeds 7000 to 7047 (the cap of the first
-/// with none: 50 is a long history); the assertions look at others. The control of the covariance, other seeds without mutations, must not look
-/// like a fall.
+/// Relative covariance within 8 pixels and mean squared error, paired by seed, with 1 and 5
+/// mutations against none, at the last of 30 frames. With `visibility=trace` the target leaves
+/// visibility out, as in the paper: what noise a pixel has is whether it sees its sample, and any
+/// sample of the same distribution is as good, so its error stays. With visibility in the target
+/// that noise is in W: merging decorrelated neighbours averages it better, and the error falls,
+/// which is the control of the equivalence. Scenes and SPECs were chosen with seeds 7000 to 7047
+/// (the cap of the first with none: 50 is a long history); the assertions look at others. The
+/// control of the covariance, other seeds without mutations, must not look like a fall.
 #[test]
 #[ignore = "slow: 70 s"]
 fn covariance_falls_and_the_error_stays() {

@@ -1,11 +1,13 @@
 //! Scenes whose answer is known, rendered by every technique that claims to be unbiased for them.
 //!
-//! A noisy answer passes by TOST: |bias| < δ = 0.5 % at α = 10⁻³, over 64 restarts. The number of paths comes from a pilot and the power
-//! formula n = ((z₁₋α + z₀.₉₉₉₅) 1.1 c/δ)² = 1.97·10⁶ c², where c is one path's standard deviation over the mean. So a true bias of 0 passes
-//! with 99.9 %, one of 0.5 % with 0.1 %, and one of 0.52 % is called a difference (at 10⁻⁶) with 99 %. Truth × 1.01 must fail. Answers
-//! without noise are compared to a stated tolerance. Each test prints its n, c, bias and half width:
-//! `cargo test --release --test suite oracles -- --nocapture --test-threads 1`. A technique that needs many paths, c > 1.8, is left out
-//! where `nee` needs few.
+//! A noisy answer passes by TOST: |bias| < δ = 0.5 % at α = 10⁻³, over 64 restarts. The number of
+//! paths comes from a pilot and the power formula n = ((z₁₋α + z₀.₉₉₉₅) 1.1 c/δ)² = 1.97·10⁶ c²,
+//! where c is one path's standard deviation over the mean. So a true bias of 0 passes with 99.9 %,
+//! one of 0.5 % with 0.1 %, and one of 0.52 % is called a difference (at 10⁻⁶) with 99 %. Truth ×
+//! 1.01 must fail. Answers without noise are compared to a stated tolerance. Each test prints its
+//! n, c, bias and half width:
+//! `cargo test --release --test suite oracles -- --nocapture --test-threads 1`. A technique that
+//! needs many paths, c > 1.8, is left out where `nee` needs few.
 //!
 //! | oracle | scene | c of `bsdf`, `nee` | n of `bsdf`, `nee` |
 //! |---|---|---|---|
@@ -25,8 +27,9 @@
 //! | O14 | many lights | –; 0.13 | –; 3.3·10⁴ |
 //! | O15 | von Mises–Fisher sky | –; 0.17 to 0.29 | –; 6.5·10⁴ to 1.6·10⁵ |
 //!
-//! F is a form factor: irradiance over π times the radiance of the source, so what a white Lambert receiver reflects. Formulas: Howell,
-//! *A Catalog of Radiation Heat Transfer Configuration Factors*; Lambert 1760 for polygons; Heitz 2014 for GGX.
+//! F is a form factor: irradiance over π times the radiance of the source, so what a white Lambert
+//! receiver reflects. Formulas: Howell, *A Catalog of Radiation Heat Transfer Configuration
+//! Factors*; Lambert 1760 for polygons; Heitz 2014 for GGX.
 
 use std::f64::consts::PI;
 
@@ -58,7 +61,8 @@ fn geometric(ratio: f64, terms: u32) -> f64 {
     (0..terms).map(|k| ratio.powi(k as i32)).sum()
 }
 
-/// Form factor from a point at the origin with normal `n` to a convex polygon: Σ θᵢ n·Γᵢ / 2π, the part below the horizon cut off.
+/// Form factor from a point at the origin with normal `n` to a convex polygon: Σ θᵢ n·Γᵢ / 2π, the
+/// part below the horizon cut off.
 fn form_factor(polygon: &[DVec3], n: DVec3) -> f64 {
     let mut above = Vec::new();
     for (i, &a) in polygon.iter().enumerate() {
@@ -82,7 +86,8 @@ fn form_factor(polygon: &[DVec3], n: DVec3) -> f64 {
     sum.abs() / (2.0 * PI)
 }
 
-/// The part of a convex polygon inside another, both counter-clockwise (Sutherland and Hodgman 1974).
+/// The part of a convex polygon inside another, both counter-clockwise (Sutherland and Hodgman
+/// 1974).
 fn intersection(subject: &[DVec2], clip: &[DVec2]) -> Vec<DVec2> {
     let mut inside = subject.to_vec();
     for (i, &a) in clip.iter().enumerate() {
@@ -116,7 +121,8 @@ fn floor_at(scene: &mut Scene, at: Vec3) {
     receiver(scene, at, Vec3::Y, 0.96, white);
 }
 
-/// O1. L = Lₑ (ρ + … + ρᵈ⁻¹) in a closed sphere and in a closed box with a sphere in it, all alike. Cosine sampling has no noise here.
+/// O1. L = Lₑ (ρ + … + ρᵈ⁻¹) in a closed sphere and in a closed box with a sphere in it, all alike.
+/// Cosine sampling has no noise here.
 #[test]
 fn o1_furnace() {
     let (rho, emitted) = (0.5, 0.25);
@@ -153,7 +159,8 @@ fn o1_furnace() {
     }
 }
 
-/// O2. A point light I at the centre of a sphere: ρ I / (π R²) · (1 + ρ + …). No noise without Russian roulette, and the whole series with it.
+/// O2. A point light I at the centre of a sphere: ρ I / (π R²) · (1 + ρ + …). No noise without
+/// Russian roulette, and the whole series with it.
 #[test]
 fn o2_point_light_in_a_sphere() {
     let (rho, intensity, radius) = (0.5, PI, 1.5);
@@ -200,7 +207,8 @@ fn sphere_mean(f: impl Fn(f64) -> f64) -> f64 {
         * step
 }
 
-/// O3. Inside a sphere every point sees every other alike: E = π ⟨Lₑ⟩ (1 + ⟨ρ⟩ + …) for any emission and, wherever seen, any ρ.
+/// O3. Inside a sphere every point sees every other alike: E = π ⟨Lₑ⟩ (1 + ⟨ρ⟩ + …) for any
+/// emission and, wherever seen, any ρ.
 #[test]
 fn o3_patch_in_a_sphere() {
     let emission = [0.25, 0.25, 2.0, 1.0, 0.25, 0.0, 0.5, 0.5];
@@ -225,7 +233,8 @@ fn o3_patch_in_a_sphere() {
     }
 }
 
-/// O4. Concentric spheres: many bounces with occlusion. Radiosities B₁ = E₁ + ρ₁ B₂, B₂ = E₂ + ρ₂ (F₂₁ B₁ + (1 − F₂₁) B₂), F₂₁ = (r₁/r₂)².
+/// O4. Concentric spheres: many bounces with occlusion. Radiosities B₁ = E₁ + ρ₁ B₂, B₂ = E₂ + ρ₂
+/// (F₂₁ B₁ + (1 − F₂₁) B₂), F₂₁ = (r₁/r₂)².
 #[test]
 fn o4_concentric_spheres() {
     let (rho, f21) = ([0.3, 0.6], 0.25);
@@ -257,8 +266,8 @@ fn o4_concentric_spheres() {
     }
 }
 
-/// O5. Parallel plates made endless by mirrors around them: B₁ = (E₁ + ρ₁ E₂)/(1 − ρ₁ ρ₂). A path that is still between the mirrors after 400
-/// segments has weight below 10⁻⁵.
+/// O5. Parallel plates made endless by mirrors around them: B₁ = (E₁ + ρ₁ E₂)/(1 − ρ₁ ρ₂). A path
+/// that is still between the mirrors after 400 segments has weight below 10⁻⁵.
 #[test]
 fn o5_parallel_plates_between_mirrors() {
     let (rho, emitted) = ([0.5, 0.4], [1.0, 0.5]);
@@ -347,8 +356,8 @@ fn o8_disk_and_sphere() {
     }
 }
 
-/// O9. Exact penumbras: a square light, an occluder half way, receivers across its shadow. The visible part is the light less the occluder's
-/// projection on it.
+/// O9. Exact penumbras: a square light, an occluder half way, receivers across its shadow. The
+/// visible part is the light less the occluder's projection on it.
 #[test]
 fn o9_penumbra() {
     let rectangle = |low: DVec2, high: DVec2| {
@@ -403,7 +412,8 @@ fn sky(scene: &mut Scene, height: u32, radiance: impl Fn(DVec3) -> f64) {
     light(scene, LightKind::Environment { radiance: Vec3::ONE, image }, Affine3A::IDENTITY);
 }
 
-/// O10. Radiance 1 + a·ω: E(n) = π + (2π/3) a·n. Between texels 1/256 of a turn apart a bilinear image is off by less than 10⁻⁴.
+/// O10. Radiance 1 + a·ω: E(n) = π + (2π/3) a·n. Between texels 1/256 of a turn apart a bilinear
+/// image is off by less than 10⁻⁴.
 #[test]
 fn o10_linear_sky() {
     for n in [Vec3::Z, Vec3::new(0.6, 0.0, -0.8), Vec3::new(-0.36, 0.48, 0.8)] {
@@ -416,7 +426,8 @@ fn o10_linear_sky() {
     }
 }
 
-/// O11. GGX with F = 1 under a constant sky: the directional albedo, by quadrature over the visible normals in the specification.
+/// O11. GGX with F = 1 under a constant sky: the directional albedo, by quadrature over the visible
+/// normals in the specification.
 #[test]
 fn o11_ggx_under_a_constant_sky() {
     for (alpha, by_cosine) in [
@@ -435,8 +446,8 @@ fn o11_ggx_under_a_constant_sky() {
     }
 }
 
-/// O12. A slab of glass. With R the reflectance of one face, T = (1 − R)² (1 + R² + R⁴ …) = (1 − R)/(1 + R) and ρ = R + (1 − R)² (R + R³ …) =
-/// 2 R/(1 + R); a depth cuts the series.
+/// O12. A slab of glass. With R the reflectance of one face, T = (1 − R)² (1 + R² + R⁴ …) = (1 −
+/// R)/(1 + R) and ρ = R + (1 − R)² (R + R³ …) = 2 R/(1 + R); a depth cuts the series.
 #[test]
 fn o12_glass_slab() {
     let reflectance = |mu: f64| {
@@ -489,7 +500,8 @@ fn o12_glass_slab() {
     }
 }
 
-/// O13. Point, spot and distant lights on Lambert and GGX surfaces have no noise: one value against the formula in f64.
+/// O13. Point, spot and distant lights on Lambert and GGX surfaces have no noise: one value against
+/// the formula in f64.
 #[test]
 fn o13_delta_lights_without_noise() {
     let to_light = DVec3::new(0.48, 0.8, 0.36).normalize();
@@ -534,7 +546,8 @@ fn o13_delta_lights_without_noise() {
             light(&mut scene, kind, place);
             let stage = Stage::new(scene).unwrap();
             for technique in unbiased(&stage, &direct()) {
-                // The spot's edge turns the rounding of a cosine into 10⁻⁵ of its value, the narrow lobe that of the half vector.
+                // The spot's edge turns the rounding of a cosine into 10⁻⁵ of its value, the narrow
+                // lobe that of the half vector.
                 assert_exact(&picture(&stage, technique, direct()), irradiance * value, 1e-5);
             }
         }
@@ -565,7 +578,8 @@ fn o13_mirror_without_noise() {
     }
 }
 
-/// O14. N equal lights at one distance send what one of N times the strength sends. Equal powers make the choice noiseless too.
+/// O14. N equal lights at one distance send what one of N times the strength sends. Equal powers
+/// make the choice noiseless too.
 #[test]
 fn o14_many_lights_are_one() {
     const N: u32 = 7;
@@ -593,7 +607,8 @@ fn o14_many_lights_are_one() {
             assert_exact(&picture(&stage, technique, shot(SIZE, 2, 4)), truth, 2e-6);
         }
     }
-    // Lamps of unequal size, so that the choice is not uniform: spheres of radius r with F = (r/d)² cos θ each.
+    // Lamps of unequal size, so that the choice is not uniform: spheres of radius r with F = (r/d)²
+    // cos θ each.
     let mut scene = Scene::new("O14 spheres");
     floor_at(&mut scene, Vec3::ZERO);
     let black = diffuse(&mut scene, 0.0);
@@ -607,7 +622,8 @@ fn o14_many_lights_are_one() {
     assert_means(scene, direct(), truth);
 }
 
-/// O15. A von Mises–Fisher lobe in the sky over a receiver at cosine c to its axis: E = c (coth κ − 1/κ), less e^(−κ c) at the horizon.
+/// O15. A von Mises–Fisher lobe in the sky over a receiver at cosine c to its axis: E = c (coth κ −
+/// 1/κ), less e^(−κ c) at the horizon.
 #[test]
 fn o15_vmf_sky() {
     for (kappa, cosine) in [(20.0_f64, 0.8), (100.0, 0.6)] {
@@ -637,8 +653,9 @@ fn too_few_paths_decide_nothing() {
     assert_eq!(against(&sample, sample.mean()).verdict, afterimage::stats::Verdict::Inconclusive);
 }
 
-/// A lamp that half of the rays pass through sends half: what light sampling, which traces no ray to the lamp's own surface, must know by itself.
-/// A ball that shines both ways also shows the inside of its far cap through the near one: L/2 + L/4.
+/// A lamp that half of the rays pass through sends half: what light sampling, which traces no ray
+/// to the lamp's own surface, must know by itself. A ball that shines both ways also shows the
+/// inside of its far cap through the near one: L/2 + L/4.
 #[test]
 fn a_lamp_with_coverage_sends_that_share_of_its_light() {
     let stage = |alpha: Option<Scalar>, lamp_radiance: f32, ball_radiance: f32| {

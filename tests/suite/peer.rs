@@ -1,10 +1,13 @@
-//! Speed and error beside Mitsuba 3 on the same files: what `docs/results.md` says of it. Needs `../shared/peer` and, in
-//! `AFTERIMAGE_PEER_PYTHON`, a Python that has Mitsuba; says so where they are missing. It takes a quiet machine:
+//! Speed and error beside Mitsuba 3 on the same files: what `docs/performance.md` says of it. Needs
+//! `../shared/peer` and, in `AFTERIMAGE_PEER_PYTHON`, a Python that has Mitsuba; says so where they
+//! are missing. It takes a quiet machine:
 //!
-//! `AFTERIMAGE_PEER_PYTHON=/path/to/python cargo test --profile published --test suite peer:: -- --ignored --nocapture --test-threads 1`
+//! `AFTERIMAGE_PEER_PYTHON=/path/to/python cargo test --profile published --test suite peer:: --
+//! --ignored --nocapture --test-threads 1`
 //!
-//! Both renderers have two threads and take turns; rates are medians. Mitsuba's pixels are box filtered. Error is the variance of a sample
-//! over r² + 10⁻² r̄², as in `docs/metrics.md`, r the mean of Mitsuba's runs, pixels near emitters masked; what counts is error times time.
+//! Both renderers have two threads and take turns; rates are medians. Mitsuba's pixels are box
+//! filtered. Error is the variance of a sample over r² + 10⁻² r̄², as in `docs/metrics.md`, r the
+//! mean of Mitsuba's runs, pixels near emitters masked; what counts is error times time.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -90,7 +93,7 @@ fn two_threads<T: Send>(job: impl FnOnce() -> T + Send) -> T {
 
 /// `nee` with `restarts` frames of `spp` samples.
 fn ours(stage: &Stage, size: [u32; 2], depth: u32, spp: u32, restarts: u64) -> Run {
-    let shot = Shot { size, depth, filter: Filter::Box, run: 0, effort: spp, fps: 30 };
+    let shot = Shot { size, depth, filter: Filter::Box, run: 0, effort: spp as f32, fps: 30 };
     let mut frames = FrameLoop::new(Arc::from(parse("nee").unwrap()), stage, shot).unwrap();
     let pixels = (size[0] * size[1]) as usize;
     let mut moments = vec![[Moments::new(); 3]; pixels];
@@ -116,7 +119,8 @@ fn ours(stage: &Stage, size: [u32; 2], depth: u32, spp: u32, restarts: u64) -> R
     }
 }
 
-/// Mean over pixels and channels of variance / (r² + 10⁻² r̄²), whole and without the worst thousandth of the pixels.
+/// Mean over pixels and channels of variance / (r² + 10⁻² r̄²), whole and without the worst
+/// thousandth of the pixels.
 fn relative(variance: &[Vec3], reference: &[Vec3], counts: &[bool]) -> [f64; 2] {
     let kept = || counts.iter().enumerate().filter(|(_, counts)| **counts).map(|(at, _)| at);
     let sum: f64 = kept().map(|at| f64::from(reference[at].element_sum() / 3.0)).sum();
@@ -139,7 +143,7 @@ fn median(mut values: Vec<f64>) -> f64 {
 
 /// Pixels without an emitter within one pixel.
 fn counted(stage: &Stage, size: [u32; 2]) -> Vec<bool> {
-    let shot = Shot { size, depth: 1, filter: Filter::Box, run: 0, effort: 64, fps: 30 };
+    let shot = Shot { size, depth: 1, filter: Filter::Box, run: 0, effort: 64.0, fps: 30 };
     let mut frames = FrameLoop::new(Arc::from(parse("bsdf").unwrap()), stage, shot).unwrap();
     let emission = frames.render().unwrap().emission();
     mask(&emission.pixels, size[0] as usize, size[1] as usize)
@@ -178,13 +182,14 @@ fn long_samples_a_second_and_error_times_time() {
     }
 }
 
-/// Mean squared errors of single frames after `ages` frames, over restarts, with the milliseconds of each of these frames.
+/// Mean squared errors of single frames after `ages` frames, over restarts, with the milliseconds
+/// of each of these frames.
 fn frames(stage: &Stage, spec: &str, size: [u32; 2], ages: [u32; 2]) -> [(Vec<Vec3>, f64); 2] {
     let truth = {
-        let shot = Shot { size, depth: 2, filter: Filter::Point, run: 7, effort: 24, fps: 30 };
+        let shot = Shot { size, depth: 2, filter: Filter::Point, run: 7, effort: 24.0, fps: 30 };
         picture(stage, "nee:lights=all", shot)
     };
-    let shot = Shot { size, depth: 2, filter: Filter::Point, run: 0, effort: 1, fps: 30 };
+    let shot = Shot { size, depth: 2, filter: Filter::Point, run: 0, effort: 1.0, fps: 30 };
     let mut frames = FrameLoop::new(Arc::from(parse(spec).unwrap()), stage, shot).unwrap();
     const RESTARTS: u32 = 24;
     let mut found = [0, 1].map(|_| (vec![Vec3::ZERO; truth.pixels.len()], Vec::new()));

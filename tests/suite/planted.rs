@@ -1,7 +1,9 @@
-//! Planted bugs, each caught by the cheapest test that can see it; `docs/planted_bugs.md` holds the table that [`table`] prints.
+//! Planted bugs, each caught by the cheapest test that can see it; `docs/planted_bugs.md` holds the
+//! table that [`table`] prints.
 //!
-//! A check is a function of what it checks (a density, a lobe, a weight, a walk), so that a wrong one can be handed to it. [`walk`] is the walk
-//! of `path` written once more, with switches for bugs; without one it gives the renderer's pictures bit for bit.
+//! A check is a function of what it checks (a density, a lobe, a weight, a walk), so that a wrong
+//! one can be handed to it. [`walk`] is the walk of `path` written once more, with switches for
+//! bugs; without one it gives the renderer's pictures bit for bit.
 
 use std::hint::black_box;
 use std::time::Instant;
@@ -143,7 +145,7 @@ fn walked(world: &World, bug: Bug, shot: Shot) -> Picture {
             let ray = rays.ray(at);
             let ray = Ray { origin: ray.origin, direction: ray.direction, t_max: f32::INFINITY };
             let Some(hit) = world.closest_hit(&ray) else { return Vec3::ZERO };
-            let paths = (0..shot.effort).map(|sample| {
+            let paths = (0..shot.most_estimates()).map(|sample| {
                 let seed = path_seed(shot.run, pixel, 0, sample);
                 walk(world, bug, seed, (ray.direction, &hit), shot.depth)
             });
@@ -178,8 +180,9 @@ fn the_walk_without_a_bug_is_the_renderer_bit_for_bit() {
     assert!(mean_red(&copy) > 0.1);
 }
 
-/// Whether light densities are what the geometry says: the largest relative error over 10⁴ sampled points of a triangle, a sphere, a
-/// disk and a constant sky, of both the density that comes with a sample and the one that is asked for.
+/// Whether light densities are what the geometry says: the largest relative error over 10⁴ sampled
+/// points of a triangle, a sphere, a disk and a constant sky, of both the density that comes with a
+/// sample and the one that is asked for.
 fn density_error(factor: f32) -> f64 {
     let mut scene = Scene::new("densities");
     let black = diffuse(&mut scene, 0.0);
@@ -254,7 +257,8 @@ fn a_light_density_one_percent_off() {
     assert!(density_error(1.01) > DENSITY_TOLERANCE);
 }
 
-/// Largest relative violation of f(o, i) = f(i, o) by any lobe, over 10⁴ pairs of directions; all lobes are of one medium.
+/// Largest relative violation of f(o, i) = f(i, o) by any lobe, over 10⁴ pairs of directions; all
+/// lobes are of one medium.
 fn reciprocity_error(evaluate: impl Fn(&Bsdf, u32, Vec3, Vec3) -> Vec3) -> f64 {
     let glossy = Bsdf::metal(Vec3::new(0.9, 0.5, 0.2), Vec2::new(0.4, 0.3));
     let lambert = Bsdf::diffuse(Vec3::new(0.7, 0.2, 0.4));
@@ -297,7 +301,8 @@ fn a_cosine_missing_in_one_lobe() {
     }
 }
 
-/// Largest distance of the shares of two techniques from a sum of 1, over 10⁵ pairs of densities from 10⁻¹⁵ to 10¹⁵.
+/// Largest distance of the shares of two techniques from a sum of 1, over 10⁵ pairs of densities
+/// from 10⁻¹⁵ to 10¹⁵.
 fn partition_error(light_share: impl Fn(f32, f32) -> f32) -> f64 {
     let mut stream = Stream::from_key(6);
     let mut density = || 10_f32.powf(30.0 * stream.uniform() - 15.0);
@@ -324,14 +329,16 @@ fn one_side_of_mis_is_three_in_a_thousand_off() {
     assert_eq!(power_heuristic(1e-30, 1e30), 0.0);
 }
 
-/// Two scatterings in a white sphere, a fifth of which shines: wherever a path is, a fifth of its directions ends there, unless the second
-/// direction follows from the first. Verdict, relative bias, and c of a path.
+/// Two scatterings in a white sphere, a fifth of which shines: wherever a path is, a fifth of its
+/// directions ends there, unless the second direction follows from the first. Verdict, relative
+/// bias, and c of a path.
 fn two_bounces(bug: Bug) -> (Verdict, f64, f64) {
     let mut scene = Scene::new("cap");
     let white = diffuse(&mut scene, 1.0);
     let black = diffuse(&mut scene, 0.0);
     scene.add_shape(sphere(1.0, white));
-    // The disk cuts off a cap of height 1 − 0.6, a fifth of the sphere; from the rest of it both fill the same directions.
+    // The disk cuts off a cap of height 1 − 0.6, a fifth of the sphere; from the rest of it both
+    // fill the same directions.
     let disk = Geometry::Disk { center: Vec3::X * 0.6, normal: -Vec3::X, radius: 0.8 };
     scene.add_shape(Shape::new(disk, black).emitting(Vec3::ONE));
     scene.camera = look_at(Vec3::new(-0.25, 0.25, 0.0), Vec3::new(-0.6, 0.8, 0.0), 1e-4);
@@ -452,7 +459,8 @@ fn all_reflected_light_one_percent_off() {
     assert!(noiseless_error(Bug::Reflected(1.01)).abs() > NOISELESS_TOLERANCE);
 }
 
-/// Prints the rows of `docs/planted_bugs.md`: what each bug does to a picture, the smallest size its test finds, the test's time.
+/// Prints the rows of `docs/planted_bugs.md`: what each bug does to a picture, the smallest size
+/// its test finds, the test's time.
 #[test]
 #[ignore = "slow: prints the table of docs/planted_bugs.md"]
 fn table() {

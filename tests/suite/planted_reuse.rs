@@ -1,7 +1,9 @@
-//! Bugs of reuse, planted: two pixels of a small scene, merged over the public traits with one thing wrong.
+//! Bugs of reuse, planted: two pixels of a small scene, merged over the public traits with one
+//! thing wrong.
 //!
-//! A pixel's truth is a quadrature over all lights. Each bug must shift a mean by more than the test of that mean tolerates: TOST with δ = 1.5 %,
-//! α = 10⁻³, a fail at 10⁻⁶; without the bug the same test passes. `docs/planted_bugs.md` holds the figures that [`table`] prints.
+//! A pixel's truth is a quadrature over all lights. Each bug must shift a mean by more than the
+//! test of that mean tolerates: TOST with δ = 1.5 %, α = 10⁻³, a fail at 10⁻⁶; without the bug the
+//! same test passes. `docs/planted_bugs.md` holds the figures that [`table`] prints.
 
 use std::time::Instant;
 
@@ -63,7 +65,8 @@ enum Bug {
     RoundsAlike,
 }
 
-/// A glossy floor under two lamps and a point light, with a fence at `x` that hides part of one lamp from one pixel and of the other from the other.
+/// A glossy floor under two lamps and a point light, with a fence at `x` that hides part of one
+/// lamp from one pixel and of the other from the other.
 fn scene(x: f32) -> Scene {
     let mut scene = Scene::new("two pixels");
     let glossy = scene.add_material(Material::Conductor {
@@ -97,7 +100,8 @@ fn worlds() -> Worlds {
     Worlds { now, before }
 }
 
-/// The pixel and its neighbour, seen from two places; and the neighbour as the pixel's camera would see it.
+/// The pixel and its neighbour, seen from two places; and the neighbour as the pixel's camera would
+/// see it.
 fn receivers(world: &World, time: Time) -> [Receiver<'_>; 3] {
     let [left, right] = [Vec3::new(-0.25, 0.0, -0.1), Vec3::new(0.2, 0.0, 0.0)];
     let [near, far] = [Vec3::new(-0.4, 0.9, -1.2), Vec3::new(0.9, 0.6, -1.0)];
@@ -118,7 +122,8 @@ fn sees(receiver: &Receiver<'_>, point: LightPoint) -> Option<(Vec3, bool)> {
     Some((sight.integrand, seen))
 }
 
-/// What is measured: all light, or that of one light alone. A wrong distribution over lights may leave their sum alone.
+/// What is measured: all light, or that of one light alone. A wrong distribution over lights may
+/// leave their sum alone.
 #[derive(Clone, Copy)]
 enum Part {
     All,
@@ -150,7 +155,8 @@ fn truth(receiver: &Receiver<'_>, part: Part) -> f64 {
     sum
 }
 
-/// Light points with visibility, in both directions or, planted, only towards the pixel; and with the neighbour's own view or the pixel's.
+/// Light points with visibility, in both directions or, planted, only towards the pixel; and with
+/// the neighbour's own view or the pixel's.
 struct Planted<'a> {
     seen: LightPointShift<'a, AcceptAll, true>,
     unseen: LightPointShift<'a, AcceptAll, false>,
@@ -424,7 +430,8 @@ fn two_rounds_that_select_by_the_same_numbers() {
     caught(9);
 }
 
-/// What stands beside resampled light has none of it: emission would be counted in both. Without delta lobes nothing is left at depth 2.
+/// What stands beside resampled light has none of it: emission would be counted in both. Without
+/// delta lobes nothing is left at depth 2.
 #[test]
 fn direct_light_counted_beside_resampled_light() {
     let world = worlds().now;

@@ -1,8 +1,10 @@
-//! `nee` against an independent renderer: Mitsuba 3.9.1's path tracer on the same files (`../shared/references`, 16 runs, with variances).
+//! `nee` against an independent renderer: Mitsuba 3.9.1's path tracer on the same files
+//! (`../shared/references`, 16 runs, with variances).
 //!
-//! α = 0.01, δ = 0.5 % of the image's mean luminance (1 % on veach-bidir, whose caustics leave fireflies); tiles of 32² pixels by Welch with
-//! Holm at 10⁻³. Both pictures are box filtered; pixels whose 3×3 neighbourhood sees an emitter are masked. The control is the same
-//! picture with all reflected light × 1.01, which must fail. Figures stand in `docs/results.md`.
+//! α = 0.01, δ = 0.5 % of the image's mean luminance (1 % on veach-bidir, whose caustics leave
+//! fireflies); tiles of 32² pixels by Welch with Holm at 10⁻³. Both pictures are box filtered;
+//! pixels whose 3×3 neighbourhood sees an emitter are masked. The control is the same picture with
+//! all reflected light × 1.01, which must fail. Figures stand in `docs/results.md`.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -52,8 +54,9 @@ pub(crate) fn mask(emission: &[Vec3], width: usize, height: usize) -> Vec<bool> 
         .collect()
 }
 
-/// Marks pixels that see metal with α ≥ 0.2. The reference's masking is separable, G₁(o) G₁(i), ours height-correlated, as in pbrt and the
-/// specification: 1 % brighter on such a plate. (With separable masking here no tile differs; see `docs/results.md`.)
+/// Marks pixels that see metal with α ≥ 0.2. The reference's masking is separable, G₁(o) G₁(i),
+/// ours height-correlated, as in pbrt and the specification: 1 % brighter on such a plate. (With
+/// separable masking here no tile differs; see `docs/results.md`.)
 fn exclude_rough_metal(stage: &Stage, size: [u32; 2], marked: &mut [Vec3]) {
     let world = stage.first_world();
     let rays = world.scene.camera.rays(size);
@@ -90,7 +93,8 @@ fn run(case: &Case) -> Option<(PictureTest, PictureTest)> {
     let (_, _, variance) = read_exr(&shared(&format!("references/{scene}_variance.exr"))?);
     let reference = Reference::with_variance(width, height, mean, variance, 15.0).unwrap();
     let mut loaded = load::load(&file).unwrap().scene;
-    // The reference reads pictures with their first row at t = 0, pbrt (and the scenes' own published images) at t = 1.
+    // The reference reads pictures with their first row at t = 0, pbrt (and the scenes' own
+    // published images) at t = 1.
     for texture in &mut loaded.textures {
         if let TextureKind::Image { .. } = texture.kind {
             texture.mapping =
@@ -100,7 +104,7 @@ fn run(case: &Case) -> Option<(PictureTest, PictureTest)> {
     }
     let stage = Stage::new(loaded).unwrap();
     let size = [width as u32, height as u32];
-    let shot = Shot { size, depth: 8, filter: Filter::Box, run: 0, effort: spp, fps: 30 };
+    let shot = Shot { size, depth: 8, filter: Filter::Box, run: 0, effort: spp as f32, fps: 30 };
     let mut frames = FrameLoop::new(Arc::from(parse("nee").unwrap()), &stage, shot).unwrap();
     let mut seen = vec![Vec3::ZERO; width * height];
     let mut pictures = Vec::new();
@@ -179,7 +183,8 @@ fn cornell_box() {
 #[test]
 #[ignore = "long: 12 minutes"]
 fn long_veach_mis() {
-    // Three times the samples of the others: the reference's own standard error, 0.10 %, leaves little room in the margin.
+    // Three times the samples of the others: the reference's own standard error, 0.10 %, leaves
+    // little room in the margin.
     check(&Case { scene: "veach-mis", delta: 0.005, restarts: 48, spp: 256 });
 }
 
@@ -195,9 +200,10 @@ fn long_veach_bidir() {
     check(&Case { scene: "veach-bidir", delta: 0.01, restarts: 16, spp: 192 });
 }
 
-/// The coated-diffuse deviation, as a number. The reference's `roughplastic` loses energy in its rough interface (at ρ = 0.8, α = 0.2 it
-/// reflects 0.547 of normal light, ours 0.639; smooth coats agree to 4 digits), and a closed room of such panels multiplies that: we are
-/// about 11 % brighter. Not an equivalence: the interval only catches a change. See `docs/results.md`.
+/// The coated-diffuse deviation, as a number. The reference's `roughplastic` loses energy in its
+/// rough interface (at ρ = 0.8, α = 0.2 it reflects 0.547 of normal light, ours 0.639; smooth coats
+/// agree to 4 digits), and a closed room of such panels multiplies that: we are about 11 %
+/// brighter. Not an equivalence: the interval only catches a change. See `docs/results.md`.
 #[test]
 #[ignore = "slow: 150 s"]
 fn living_room_coats() {

@@ -1,9 +1,11 @@
-//! Direct light with reuse: are claims true while things move, and do reservoirs, lights that come and go, cuts and long runs do no harm?
+//! Direct light with reuse: are claims true while things move, and do reservoirs, lights that come
+//! and go, cuts and long runs do no harm?
 //!
-//! A [`Course`] is a scene with a rule for how it stands in each frame. Its truth is direct light by stratified sampling of every light at every
-//! pixel ([`truth`]), nearly without noise and, as one test checks, what `nee` tends to. Samples are means of one frame over independent
-//! restarts. TOST with δ as stated, α = 10⁻³, a fail at 10⁻⁶; the control is the truth × (1 + 2 δ), which must fail. Ids are those of
-//! `docs/testing.md`.
+//! A [`Course`] is a scene with a rule for how it stands in each frame. Its truth is direct light
+//! by stratified sampling of every light at every pixel ([`truth`]), nearly without noise and, as
+//! one test checks, what `nee` tends to. Samples are means of one frame over independent restarts.
+//! TOST with δ as stated, α = 10⁻³, a fail at 10⁻⁶; the control is the truth × (1 + 2 δ), which
+//! must fail. Ids are those of `docs/testing.md`.
 
 use std::sync::Arc;
 
@@ -58,8 +60,8 @@ fn quad(center: Vec3, half: f32) -> Geometry {
     polygon(&[c(-1.0, -1.0), c(1.0, -1.0), c(1.0, 1.0), c(-1.0, 1.0)])
 }
 
-/// A floor and a wall, a ball that casts shadows, and above them a warm lamp of two triangles, a cool ball that shines and a point light. The last
-/// object is a disk lamp that no instance shows.
+/// A floor and a wall, a ball that casts shadows, and above them a warm lamp of two triangles, a
+/// cool ball that shines and a point light. The last object is a disk lamp that no instance shows.
 fn set() -> Scene {
     let mut scene = Scene::new("set");
     let grey = diffuse(&mut scene, 0.6);
@@ -256,7 +258,8 @@ fn compare(sample: &Sample, truth: [f64; 4], delta: f64) -> [Equivalence; 4] {
     })
 }
 
-/// Restarts with which all looks pass with a probability of 99.9 % where there is no bias, by a pilot; then these, on seeds of their own.
+/// Restarts with which all looks pass with a probability of 99.9 % where there is no bias, by a
+/// pilot; then these, on seeds of their own.
 fn sampled(
     at: (&Course, &Stage),
     spec: &str,
@@ -275,8 +278,8 @@ fn sampled(
     restarts(at, spec, shot, looks, 0..runs as u64)
 }
 
-/// A pass, or the interval of one where a few bright restarts make the sample too skewed to count as one: weights that are known only after
-/// the selection (1/Z) have no bound.
+/// A pass, or the interval of one where a few bright restarts make the sample too skewed to count
+/// as one: weights that are known only after the selection (1/Z) have no bound.
 fn passes(result: &Equivalence) -> bool {
     let inside = result.interval.0 > -result.delta && result.interval.1 < result.delta;
     let skewed = result.test.heavy_tailed() && inside && result.test.p > 1e-6;
@@ -287,7 +290,8 @@ fn fails(result: &Equivalence) -> bool {
     result.verdict == Verdict::Fail || (result.test.heavy_tailed() && result.test.p < 1e-6)
 }
 
-/// Asserts that a configuration which claims to be unbiased is, at each look, in luminance and every channel.
+/// Asserts that a configuration which claims to be unbiased is, at each look, in luminance and
+/// every channel.
 fn assert_unbiased(at: (&Course, &Stage), spec: &str, shot: Shot, looks: &[Look], delta: f64) {
     let claim = parse(spec).unwrap().plan(at.1.facts(), &shot).claim;
     assert_eq!(claim, Claim::Unbiased, "{spec}");
@@ -358,9 +362,9 @@ const DELTA: f64 = 0.03;
 fn the_truth_is_what_nee_tends_to() {
     for course in [still(), moving_lights()] {
         let looks = [Look::whole(&course, small(), 2)];
-        let shot = Shot { effort: 16, ..small() };
+        let shot = Shot { effort: 16.0, ..small() };
         assert_unbiased((&course, &course.stage()), "nee", shot, &looks, 0.01);
-        let shot = Shot { effort: 4, ..small() };
+        let shot = Shot { effort: 4.0, ..small() };
         assert_unbiased((&course, &course.stage()), "ris:candidates=8", shot, &looks, 0.01);
     }
 }
@@ -380,7 +384,8 @@ fn claims_hold_where_everything_moves() {
         (moving_occluder().at)(scene, i);
     };
     let course = Course { base: set(), at };
-    // Weights of 1/Z have heavy tails here and take as long as all others: they are left to the slow test.
+    // Weights of 1/Z have heavy tails here and take as long as all others: they are left to the
+    // slow test.
     let bounded = |keys: &&str| !keys.contains("inverse-count") && !keys.contains("contribution");
     let configurations: Vec<&str> = CONFIGURATIONS.into_iter().filter(bounded).collect();
     assert_all_unbiased((&course, &course.stage()), &configurations, &AGES, DELTA);
@@ -463,7 +468,8 @@ fn l8_all_lights_off_and_on_again() {
         for i in 0..5 {
             let frame = frames.render_scene(course.frame(i)).unwrap();
             let dark = frame.picture().pixels.iter().all(|p| *p == Vec3::ZERO);
-            // A control variate is noise of mean 0 that outlives the light: C̄ − F̃ of the last frame.
+            // A control variate is noise of mean 0 that outlives the light: C̄ − F̃ of the last
+            // frame.
             if !keys.contains("wis-cv") || i == 0 {
                 assert_eq!(dark, i == 2 || i == 3, "{spec}, frame {i}");
             }
@@ -475,7 +481,8 @@ fn l8_all_lights_off_and_on_again() {
     }
 }
 
-/// A point light that turns from red to blue, a lamp that is 16 times as bright in every other frame.
+/// A point light that turns from red to blue, a lamp that is 16 times as bright in every other
+/// frame.
 #[test]
 fn l9_lights_that_blink() {
     let at = |scene: &mut Scene, i: u32| {
@@ -494,7 +501,8 @@ fn l9_lights_that_blink() {
     }
 }
 
-/// An environment whose image is another one in every frame: a place on it covers another solid angle.
+/// An environment whose image is another one in every frame: a place on it covers another solid
+/// angle.
 #[test]
 fn l9_a_sky_that_changes_its_image() {
     use afterimage::scene::{EnvironmentMapping, Image, ImageData};
@@ -629,8 +637,8 @@ fn c2_cuts_pans_zooms_and_shakes() {
     }
 }
 
-/// After a pan to what was never seen there is no history: the frame is distributed as a first one (Kolmogorov-Smirnov, α = 10⁻⁶). The control: a
-/// later frame, whose reservoirs are better, is not.
+/// After a pan to what was never seen there is no history: the frame is distributed as a first one
+/// (Kolmogorov-Smirnov, α = 10⁻⁶). The control: a later frame, whose reservoirs are better, is not.
 #[test]
 fn c2_after_a_whip_pan_all_is_as_in_a_first_frame() {
     let (_, course) = cuts().swap_remove(0);
@@ -660,7 +668,8 @@ fn c2_after_a_whip_pan_all_is_as_in_a_first_frame() {
     assert!(ks_two_sample(&cold, &settled).p < 1e-6, "{:?}", ks_two_sample(&cold, &settled));
 }
 
-/// Each pixel's ray is drawn anew in every frame, so that a pixel's surface is another one each time. The truth is `nee` with that filter.
+/// Each pixel's ray is drawn anew in every frame, so that a pixel's surface is another one each
+/// time. The truth is `nee` with that filter.
 #[test]
 fn c2_box_filter() {
     let course = still();
@@ -669,7 +678,7 @@ fn c2_box_filter() {
     let reference = restarts(
         (&course, &stage),
         "nee",
-        Shot { effort: 32, run: 1 << 50, ..shot },
+        Shot { effort: 32.0, run: 1 << 50, ..shot },
         &[Look::finer(&course, shot, 0, 1)],
         0..400,
     );
@@ -689,7 +698,8 @@ fn c2_box_filter() {
     }
 }
 
-/// The floor is 16 strips whose keys move on by one in each frame, so all motion vectors are a strip's width off; the ball's is new in each frame.
+/// The floor is 16 strips whose keys move on by one in each frame, so all motion vectors are a
+/// strip's width off; the ball's is new in each frame.
 #[test]
 fn c3_wrong_motion_vectors_only_cost_noise() {
     let mut base = set();
@@ -757,7 +767,8 @@ fn c4_r12_sizes() {
     }
 }
 
-/// What a post in front of the camera has just uncovered has no history, and is neither brighter nor darker for that.
+/// What a post in front of the camera has just uncovered has no history, and is neither brighter
+/// nor darker for that.
 #[test]
 fn c6_disocclusion() {
     let mut base = set();
@@ -810,10 +821,12 @@ fn bias(at: (&Course, &Stage), spec: &str, look: &Look, runs: u64) -> [(f64, f64
     found
 }
 
-/// Grey lights: averages of visibility that are chained through weights which know the sample lose light, by what `docs/testing.md` says.
+/// Grey lights: averages of visibility that are chained through weights which know the sample lose
+/// light, by what `docs/testing.md` says.
 #[test]
 fn averaged_visibility_with_weights_that_know_the_sample_is_biased() {
-    // Two low lights whose shares change fast along the floor, with a fence between them: each is hidden from half of it.
+    // Two low lights whose shares change fast along the floor, with a fence between them: each is
+    // hidden from half of it.
     let mut base = set();
     base.lights.clear();
     base.instances.truncate(LAMP);
@@ -837,7 +850,8 @@ fn averaged_visibility_with_weights_that_know_the_sample_is_biased() {
     }
 }
 
-/// A target that is not in proportion to each channel: the luminance is right, the colours are not (Tokuyoshi 2024).
+/// A target that is not in proportion to each channel: the luminance is right, the colours are not
+/// (Tokuyoshi 2024).
 #[test]
 fn averaged_visibility_of_coloured_lights_has_the_luminance_and_not_the_colours() {
     let mut base = set();
@@ -856,7 +870,8 @@ fn averaged_visibility_of_coloured_lights_has_the_luminance_and_not_the_colours(
     assert!(wrong >= 1, "{channels:?}");
 }
 
-/// Samples that one pixel does not see are lost to those that do: too dark in the penumbra, exact where all is lit or nothing is within reach.
+/// Samples that one pixel does not see are lost to those that do: too dark in the penumbra, exact
+/// where all is lit or nothing is within reach.
 #[test]
 fn occluded_samples_that_are_dropped_darken_the_penumbra_and_nothing_else() {
     let mut base = set();
@@ -885,7 +900,8 @@ fn occluded_samples_that_are_dropped_darken_the_penumbra_and_nothing_else() {
                 (-3..=3).all(|dx| {
                     let (x, y) = (p % width + dx, p / width + dy);
                     let inside = (0..width).contains(&x) && (0..height).contains(&y);
-                    // Quadratures of two worlds draw the same numbers, so they agree but for rounding.
+                    // Quadratures of two worlds draw the same numbers, so they agree but for
+                    // rounding.
                     !inside || share[(y * width + x) as usize] > 0.999
                 })
             })
@@ -895,7 +911,8 @@ fn occluded_samples_that_are_dropped_darken_the_penumbra_and_nothing_else() {
     assert!(lit.abs() + 3.1 * error < 0.01, "lit: {lit} ± {error}");
 }
 
-/// Stored outcomes age where all inputs are shown, too: a limit of 2 frames asks for more rays than none at all.
+/// Stored outcomes age where all inputs are shown, too: a limit of 2 frames asks for more rays than
+/// none at all.
 #[test]
 fn stored_outcomes_age_where_all_inputs_are_shown() {
     let stage = still().stage();
@@ -938,7 +955,8 @@ fn a_still_scene_that_might_move_gives_the_same_picture() {
             differ += a.iter().zip(&b).filter(|(a, b)| a != b).count();
         }
         println!("{spec}: {differ} of {} pixels differ", 4 * small().pixels());
-        // A history is fetched from a neighbour where a motion of 10⁻⁶ pixels is rounded up, and a stored outcome may be older than allowed.
+        // A history is fetched from a neighbour where a motion of 10⁻⁶ pixels is rounded up, and a
+        // stored outcome may be older than allowed.
         let may = keys.contains("visibility=reuse") || keys.contains("wis-cv");
         assert!(differ == 0 || may, "{spec}: {differ} pixels differ");
     }
@@ -1055,7 +1073,8 @@ fn r9_where_no_neighbour_fits_all_is_as_without_neighbours() {
             let (b, work) = run(&stage, &with(&asked), one, 6);
             assert!(work.iter().all(|w| w.spatial_merges == 0 && w.reuse_rejected == 4));
             for (a, b) in a.iter().zip(&b) {
-                // The control variate's estimate is rounded once more on its way through the spatial pass.
+                // The control variate's estimate is rounded once more on its way through the
+                // spatial pass.
                 let same = if policy == "wis-cv" {
                     (a.pixels[0] - b.pixels[0]).length() <= 1e-3 * a.pixels[0].length()
                 } else {
@@ -1090,7 +1109,8 @@ fn r8_caps() {
     }
 }
 
-/// Which reservoirs are merged depends on surfaces alone: other lights, other seeds' samples, the same merges.
+/// Which reservoirs are merged depends on surfaces alone: other lights, other seeds' samples, the
+/// same merges.
 #[test]
 fn r10_what_is_merged_does_not_know_the_samples() {
     let course = moving_camera();
@@ -1136,14 +1156,15 @@ fn r15_without_mutations_nothing_changes() {
     let (b, same) = run(&stage, &with(""), small(), 3);
     assert!(a.iter().zip(&b).all(|(a, b)| bits(a) == bits(b)) && work == same);
     assert!(work.iter().all(|w| w.mutations == 0 && w.mutations_accepted == 0));
-    // A mutation moves the sample and not its luminance: without shadows or colours, and where nobody else takes it, the picture stays.
+    // A mutation moves the sample and not its luminance: without shadows or colours, and where
+    // nobody else takes it, the picture stays.
     let (c, moved) = run(&stage, &with("mutations=3"), small(), 3);
     assert!(moved.iter().all(|w| w.mutations > 0 && w.mutations_accepted > 0));
     assert!(bits(&c[2]) != bits(&a[2]));
 }
 
-/// T15: p̂(Y) W is what it was. With lights of one colour and no occluder the picture is p̂ W, the same with and without mutations while only
-/// the pixel itself takes its sample up.
+/// T15: p̂(Y) W is what it was. With lights of one colour and no occluder the picture is p̂ W, the
+/// same with and without mutations while only the pixel itself takes its sample up.
 #[test]
 fn t15_mutations_keep_each_pixels_luminance() {
     let mut scene = set();
@@ -1333,8 +1354,9 @@ impl<'a> Bench<'a> {
     }
 }
 
-/// A reservoir of NaN, as a broken pass might leave it: no NaN is shown, what it spoils is a sample or two in its own pixel and its
-/// neighbours' frame, all of them counted or dropped, and the next frame holds none.
+/// A reservoir of NaN, as a broken pass might leave it: no NaN is shown, what it spoils is a sample
+/// or two in its own pixel and its neighbours' frame, all of them counted or dropped, and the next
+/// frame holds none.
 #[test]
 fn z6_a_reservoir_of_nan_is_contained() {
     let stage = Stage::new(set()).unwrap();
@@ -1371,7 +1393,8 @@ fn z6_a_reservoir_of_nan_is_contained() {
                     && finished.sample.is_none_or(|p: LightPoint| p.uv.is_finite())
             });
             assert!(clean, "{spec}: NaN {words:?} is still there after three frames");
-            // A NaN weight is an empty reservoir; a NaN target or place spoils the sums that it enters, a few pixels for a frame or two.
+            // A NaN weight is an empty reservoir; a NaN target or place spoils the sums that it
+            // enters, a few pixels for a frame or two.
             assert!(counted < 60, "{spec} {words:?}: {counted}");
             // Balance weights pass such a sample over without a count.
             if words == (4..5) && keys != "visibility=wis-cv" {

@@ -1,7 +1,8 @@
-//! Awkward scenes and inputs: every technique gives finite pictures, typed errors, and the stated answer.
+//! Awkward scenes and inputs: every technique gives finite pictures, typed errors, and the stated
+//! answer.
 //!
-//! Rays and lobes have their own corners tested where they live (`src/accel`, `src/surface/bsdf`); here whole frames are rendered. Ids are
-//! those of the table in `docs/testing.md`.
+//! Rays and lobes have their own corners tested where they live (`src/accel`, `src/surface/bsdf`);
+//! here whole frames are rendered. Ids are those of the table in `docs/testing.md`.
 
 use std::sync::Arc;
 
@@ -21,7 +22,8 @@ use proptest::prelude::*;
 
 use crate::support::{diffuse, look_at, polygon, shot, sphere};
 
-/// Renders two frames of every technique with both filters; all of them must be finite. The last picture of `nee` and its work.
+/// Renders two frames of every technique with both filters; all of them must be finite. The last
+/// picture of `nee` and its work.
 fn survives(id: &str, scene: Scene) -> (Picture, Counters) {
     let stage = Stage::new(scene).unwrap_or_else(|e| panic!("{id}: {e}"));
     let mut last = None;
@@ -152,7 +154,8 @@ fn g12_shading_normals_that_disagree() {
     }
 }
 
-/// The sun stands under the floor, and a second floor lies 10⁻⁵ below the first: no light may come through, at any scale.
+/// The sun stands under the floor, and a second floor lies 10⁻⁵ below the first: no light may come
+/// through, at any scale.
 #[test]
 fn g13_a_thin_wall_does_not_leak() {
     for scale in [1e-3_f32, 1.0, 1e3] {
@@ -190,7 +193,8 @@ fn m1_roughness_crosses_the_smooth_limit_without_a_jump() {
         sky(&mut scene, 1.0);
         survives("M1", scene).0
     };
-    // The floor mirrors a constant sky: 0.9 plus a little at grazing angles, whatever the roughness.
+    // The floor mirrors a constant sky: 0.9 plus a little at grazing angles, whatever the
+    // roughness.
     let smooth = mean(&metal(0.0));
     for alpha in [1e-6, 1e-4, 9.99e-4, 1.001e-3, 2e-3] {
         let rough = mean(&metal(alpha));
@@ -298,7 +302,8 @@ fn l3_slow_a_full_million() {
     assert!(mean(&survives("L3", many_lights(1_000_000, 3)).0) > 0.0);
 }
 
-/// From a speck to half the sphere of directions: the irradiance of a small lamp is L A cos cos / d².
+/// From a speck to half the sphere of directions: the irradiance of a small lamp is L A cos cos /
+/// d².
 #[test]
 fn l4_lights_of_every_size() {
     for half in [1e-14_f32, 1e-6, 1e-3, 0.1, 10.0, 1e3, 1e11] {
@@ -307,14 +312,16 @@ fn l4_lights_of_every_size() {
         lamp(&mut scene, Vec3::new(0.0, 1.0, 0.0), half, radiance);
         scene.camera = look_at(Vec3::new(0.0, 0.9, -0.01), Vec3::ZERO, 0.01);
         let value = mean(&survives("L4", scene).0);
-        // Under the lamp: E = 1 for the small ones (radiant intensity 1 at distance 1), π for an infinite ceiling.
+        // Under the lamp: E = 1 for the small ones (radiant intensity 1 at distance 1), π for an
+        // infinite ceiling.
         let truth =
             0.5 / std::f64::consts::PI * if half < 1.0 { 1.0 } else { std::f64::consts::PI };
         assert!((value / truth - 1.0).abs() < 0.05, "half width {half}: {value} against {truth}");
     }
 }
 
-/// Emitters too far or too large to be hit are dark: the picture is, bit for bit, that without them.
+/// Emitters too far or too large to be hit are dark: the picture is, bit for bit, that without
+/// them.
 #[test]
 fn l4_lights_beyond_every_size() {
     let scene = |wild: bool| {
@@ -379,7 +386,8 @@ fn l6_point_and_spot_lights_almost_on_the_surface() {
     }
 }
 
-/// Light adds up: a scene with four kinds of light is the sum of four scenes. α = 10⁻⁴, 64 × 256 pixels see about 1 %.
+/// Light adds up: a scene with four kinds of light is the sum of four scenes. α = 10⁻⁴, 64 × 256
+/// pixels see about 1 %.
 #[test]
 fn l7_superposition() {
     let kinds: [fn(&mut Scene); 4] = [
@@ -434,7 +442,8 @@ fn l10_one_sided_emitters_from_behind_are_dark() {
     assert_eq!(mean(&survives("L10", scene).0), 0.0);
 }
 
-/// One texel in a thousand shines. Its light must arrive: within 5 % of the area's share of a plain lamp.
+/// One texel in a thousand shines. Its light must arrive: within 5 % of the area's share of a plain
+/// lamp.
 #[test]
 fn l12_an_emitter_that_is_almost_black() {
     let build = |textured: bool| {
@@ -544,7 +553,8 @@ fn i1_i2_i3_bad_shots_and_bad_scenes_are_typed_errors() {
     }
 }
 
-/// A host that moves the scene: only a stage made for it may be moved, and each frame shows the scene as it stands.
+/// A host that moves the scene: only a stage made for it may be moved, and each frame shows the
+/// scene as it stands.
 #[test]
 fn a_host_moves_its_scene() {
     let lit = |x: f32| {
@@ -631,7 +641,7 @@ proptest! {
                 depth: 1 + how / 63 % 4,
                 filter: if how.is_multiple_of(2) { Filter::Point } else { Filter::Box },
                 run: u64::from(how),
-                effort: 1 + how / 252 % 3,
+                effort: (1 + how / 252 % 3) as f32,
                 fps: 30,
             };
             let technique = Arc::from(parse(SPECS[which % SPECS.len()]).unwrap());

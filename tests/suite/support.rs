@@ -19,7 +19,7 @@ use glam::{Affine3A, Mat3, Vec3};
 
 /// A shot of `size` pixels with the point filter.
 pub(crate) fn shot(size: [u32; 2], depth: u32, effort: u32) -> Shot {
-    Shot { size, depth, filter: Filter::Point, run: 1, effort, fps: 30 }
+    Shot { size, depth, filter: Filter::Point, run: 1, effort: effort as f32, fps: 30 }
 }
 
 /// A Lambert material.
@@ -27,7 +27,8 @@ pub(crate) fn diffuse(scene: &mut Scene, albedo: f32) -> MaterialId {
     scene.add_material(Material::Diffuse { reflectance: Color::Constant(Vec3::splat(albedo)) })
 }
 
-/// A mesh of one planar polygon, as a fan; its normal points to where its corners run counter-clockwise.
+/// A mesh of one planar polygon, as a fan; its normal points to where its corners run
+/// counter-clockwise.
 pub(crate) fn polygon(corners: &[Vec3]) -> Geometry {
     let triangles = (2..corners.len() as u32).map(|i| [0, i - 1, i]).collect();
     Geometry::Mesh(Arc::new(Mesh { positions: corners.to_vec(), triangles, ..Mesh::default() }))
@@ -51,7 +52,8 @@ pub(crate) fn sphere(radius: f32, material: MaterialId) -> Shape {
     }
 }
 
-/// Adds a small receiver at `at`: a patch with normal `n` and a camera that sees nothing else, at cosine `mu` to it.
+/// Adds a small receiver at `at`: a patch with normal `n` and a camera that sees nothing else, at
+/// cosine `mu` to it.
 pub(crate) fn receiver(scene: &mut Scene, at: Vec3, n: Vec3, mu: f32, material: MaterialId) {
     let frame = Frame::from_normal(n);
     let corner = |x: f32, y: f32| at + (frame.tangent * x + frame.bitangent * y) * 0.01;
@@ -91,8 +93,9 @@ pub(crate) fn metal(scene: &mut Scene, alpha: f32) -> MaterialId {
     })
 }
 
-/// A room that has something of everything whose image has the same bits under exact changes: coloured Lambert walls, a glossy and a
-/// mirroring metal, glass, and grey lights of three shapes. All coordinates have few digits.
+/// A room that has something of everything whose image has the same bits under exact changes:
+/// coloured Lambert walls, a glossy and a mirroring metal, glass, and grey lights of three shapes.
+/// All coordinates have few digits.
 pub(crate) fn room() -> Scene {
     let mut scene = Scene::new("room");
     let paint = |scene: &mut Scene, rgb: [f32; 3]| {
@@ -131,7 +134,8 @@ pub(crate) fn room() -> Scene {
     scene
 }
 
-/// The techniques, and `nee` with all lights, that claim to be unbiased for a scene; the others are left out with a word.
+/// The techniques, and `nee` with all lights, that claim to be unbiased for a scene; the others are
+/// left out with a word.
 pub(crate) fn unbiased(stage: &Stage, shot: &Shot) -> Vec<&'static str> {
     REGISTRY
         .iter()
@@ -178,7 +182,8 @@ pub(crate) fn mean_red(picture: &Picture) -> f64 {
     picture.pixels.iter().map(|p| f64::from(p.x)).sum::<f64>() / picture.pixels.len() as f64
 }
 
-/// The picture's mean in the first frame of each of `count` restarts: independent for any technique.
+/// The picture's mean in the first frame of each of `count` restarts: independent for any
+/// technique.
 pub(crate) fn restarts(stage: &Stage, spec: &str, shot: Shot, count: u64) -> Moments {
     let mut frame_loop = FrameLoop::new(Arc::from(parse(spec).unwrap()), stage, shot).unwrap();
     (0..count)
@@ -195,14 +200,16 @@ pub(crate) fn restarts(stage: &Stage, spec: &str, shot: Shot, count: u64) -> Mom
 pub(crate) const ALPHA: f64 = 1e-3;
 /// δ, relative to the answer.
 pub(crate) const DELTA: f64 = 0.005;
-/// Restarts of a test: enough that skewness can be judged, few enough that each mean is over many paths.
+/// Restarts of a test: enough that skewness can be judged, few enough that each mean is over many
+/// paths.
 pub(crate) const RESTARTS: u64 = 64;
 
-/// Effort with which [`RESTARTS`] restarts pass with a probability of 99.9 % where there is no bias: n = ((z₁₋α + z₀.₉₉₉₅) c/δ)² paths. Also
-/// gives c, a path's standard deviation over its mean, from a pilot of other runs. The factor is for what the pilot does not know of c (4 %)
-/// and for Student's quantile in the place of z.
+/// Effort with which [`RESTARTS`] restarts pass with a probability of 99.9 % where there is no
+/// bias: n = ((z₁₋α + z₀.₉₉₉₅) c/δ)² paths. Also gives c, a path's standard deviation over its
+/// mean, from a pilot of other runs. The factor is for what the pilot does not know of c (4 %) and
+/// for Student's quantile in the place of z.
 fn effort(stage: &Stage, spec: &str, shot: Shot, sides: f64) -> (u32, f64) {
-    let pilot = restarts(stage, spec, Shot { effort: 1, run: 1 << 40, ..shot }, 4 * RESTARTS);
+    let pilot = restarts(stage, spec, Shot { effort: 1.0, run: 1 << 40, ..shot }, 4 * RESTARTS);
     let c = pilot.variance().sqrt() / pilot.mean() * (shot.pixels() as f64).sqrt();
     assert!(c.is_finite(), "{spec} sees nothing: {pilot:?}");
     let paths = sides * samples_for_bias(DELTA, 1.1 * c, 2.0 * ALPHA, 0.9995);
@@ -221,19 +228,26 @@ pub(crate) fn against(sample: &Moments, truth: f64) -> Equivalence {
     equivalence(&t_test(sample, truth), &margin(truth))
 }
 
-/// Asserts that a technique's mean is `truth`, and that it is not 1.01 · `truth`; within 10⁻⁵ where there is no noise.
+/// Asserts that a technique's mean is `truth`, and that it is not 1.01 · `truth`; within 10⁻⁵ where
+/// there is no noise.
 #[track_caller]
 pub(crate) fn assert_mean(stage: &Stage, spec: &str, shot: Shot, truth: f64) {
     let (effort, c) = effort(stage, spec, shot, 1.0);
-    assert_mean_with(stage, spec, Shot { effort, ..shot }, c, truth);
+    assert_mean_with(stage, spec, Shot { effort: effort as f32, ..shot }, c, truth);
 }
 
-/// [`restarts`] with as many estimates as [`RESTARTS`] of `shot.effort` have. More effort is more candidates but no more shadow rays for a
-/// technique that keeps reservoirs, so it gets more restarts instead.
+/// [`restarts`] with as many estimates as [`RESTARTS`] of `shot.effort` have. More effort is more
+/// candidates but no more shadow rays for a technique that keeps reservoirs, so it gets more
+/// restarts instead.
 fn samples(stage: &Stage, spec: &str, shot: Shot) -> Moments {
     let plan = parse(spec).unwrap().plan(stage.facts(), &shot);
     if plan.buffer("reservoirs").is_some() {
-        restarts(stage, spec, Shot { effort: 1, ..shot }, RESTARTS * u64::from(shot.effort.max(4)))
+        restarts(
+            stage,
+            spec,
+            Shot { effort: 1.0, ..shot },
+            RESTARTS * u64::from(shot.chains().max(4)),
+        )
     } else {
         restarts(stage, spec, shot, RESTARTS)
     }
@@ -272,17 +286,18 @@ pub(crate) fn assert_means(scene: Scene, shot: Shot, truth: f64) {
         if name != "nee" && c > 1.8 {
             println!("{}: left out `{name}`: c {c:.1} would take too long", stage.scene().name);
         } else {
-            assert_mean_with(&stage, name, Shot { effort, ..shot }, c, truth);
+            assert_mean_with(&stage, name, Shot { effort: effort as f32, ..shot }, c, truth);
         }
     }
 }
 
-/// Asserts that two ways to the same picture have the same mean, and that a hundredth more would be seen.
+/// Asserts that two ways to the same picture have the same mean, and that a hundredth more would be
+/// seen.
 #[track_caller]
 pub(crate) fn assert_same_mean(a: (&Stage, Shot), b: (&Stage, Shot), spec: &str) {
     let sample = |(stage, shot): (&Stage, Shot), first: u64| {
         let (effort, _) = effort(stage, spec, shot, 2.0);
-        samples(stage, spec, Shot { effort, run: shot.run + first, ..shot })
+        samples(stage, spec, Shot { effort: effort as f32, run: shot.run + first, ..shot })
     };
     let (x, y) = (sample(a, 0).estimate(), sample(b, 1 << 20).estimate());
     let result = equivalence(&welch(&x, &y), &margin(y.mean));
@@ -292,7 +307,8 @@ pub(crate) fn assert_same_mean(a: (&Stage, Shot), b: (&Stage, Shot), spec: &str)
     assert_eq!(control.verdict, Verdict::Fail, "{spec}, the control must fail: {control:?}");
 }
 
-/// Asserts that every pixel is `truth` to within `tolerance` of it: there is no noise, so no statistics.
+/// Asserts that every pixel is `truth` to within `tolerance` of it: there is no noise, so no
+/// statistics.
 #[track_caller]
 pub(crate) fn assert_exact(picture: &Picture, truth: f64, tolerance: f64) {
     for pixel in &picture.pixels {

@@ -162,7 +162,8 @@ fn one_of_each() -> Vec<SceneConstants> {
 #[test]
 fn kernels_are_valid_whatever_one_thing_a_scene_has_or_lacks() {
     let facts = &facts()[2];
-    let shot = Shot { size: [64, 64], depth: 3, filter: Filter::Point, run: 1, effort: 1, fps: 30 };
+    let shot =
+        Shot { size: [64, 64], depth: 3, filter: Filter::Point, run: 1, effort: 1.0, fps: 30 };
     for spec in ["nee", "restir-di", "restir-di:visibility=wis-cv,mutations=1"] {
         let technique = parse(spec).unwrap();
         let plan = technique.plan(facts, &shot);
@@ -186,7 +187,7 @@ fn every_kernel_of_every_plan_is_valid() {
         for spec in specs() {
             for filter in [Filter::Point, Filter::Box] {
                 let technique = parse(&spec).unwrap();
-                let shot = Shot { size: [64, 64], depth: 3, filter, run: 1, effort: 1, fps: 30 };
+                let shot = Shot { size: [64, 64], depth: 3, filter, run: 1, effort: 1.0, fps: 30 };
                 let plan = technique.plan(&facts, &shot);
                 let twins = twins(&*technique, &plan).expect("every built-in technique has twins");
                 for (pass, twin) in plan.passes.iter().zip(twins) {
@@ -248,6 +249,7 @@ fn layouts(source: &str) -> Vec<(&'static str, Layout, Layout)> {
                 remap,
                 instances,
                 srgb,
+                extra_share,
                 camera,
                 camera_before,
                 projection,
@@ -318,7 +320,8 @@ fn plain() -> Composed {
 /// The loop's own kernel, with another text of its module where `change` gives one.
 fn planted(mut change: impl FnMut(&str) -> Option<String>) -> crate::error::Result<Composed> {
     let technique = parse("nee").unwrap();
-    let shot = Shot { size: [64, 64], depth: 3, filter: Filter::Point, run: 1, effort: 1, fps: 30 };
+    let shot =
+        Shot { size: [64, 64], depth: 3, filter: Filter::Point, run: 1, effort: 1.0, fps: 30 };
     let plan = technique.plan(&facts()[0], &shot);
     let mut twin = twins(&*technique, &plan).unwrap().swap_remove(0);
     if let Some(text) = change(twin.modules[0].text) {
@@ -516,6 +519,8 @@ fn numbers_on_both_sides_are_the_same() {
         ("MUTATION", Purpose::Mutation),
         ("TILE_MASK", Purpose::TileMask),
         ("LIGHT_TILE", Purpose::LightTile),
+        ("TAPS", Purpose::Taps),
+        ("EFFORT", Purpose::Effort),
     ] {
         declares(wgsl::RNG, &format!("PURPOSE_{name}"), purpose as usize);
     }

@@ -98,28 +98,41 @@ impl<F: HitFilter + Sync, const IN_TARGET: bool> LightPoints<'_, F, IN_TARGET> {
         let controls: &mut [Control] = band.take_some(inputs.plan.id(passes::CONTROLS));
         let normals: &mut [u32] = band.take_some(inputs.plan.id(NORMALS));
         for (local, pixel) in pixels.enumerate() {
-            let hit = hits[pixel.index as usize].get();
-            let receiver = hit.map(|hit| self.receiver(hit, pixel));
-            if let Some(normal) = normals.get_mut(local) {
-                *normal = receiver.as_ref().map_or(0, |r| pack_normal(self.normal(r)));
+            let own = local * chains as usize..(local + 1) * chains as usize;
+            let mut any = false;
+            let mut normal = 0;
+            if let Some(hit) = hits[pixel.index as usize].get() {
+                let receiver = self.receiver(hit, pixel);
+                if !normals.is_empty() {
+                    normal = pack_normal(self.normal(&receiver));
+                }
+                any = receiver.scatters();
+                if any {
+                    let (seeds, from) = (inputs.seeds(pixel.index), sources.at(pixel));
+                    let each = from.lights + from.bsdf;
+                    for chain in 0..chains {
+                        let at = own.start + chain as usize;
+                        let mut selection =
+                            inputs.stream(pixel.index, Purpose::Selection, chain << 8);
+                        let first = (seeds, chain * each);
+                        let chosen =
+                            candidates(&receiver, from, first, &mut selection, &mut counters);
+                        let fresh = self.fresh(policy, &receiver, chosen, &mut counters);
+                        records[at] = Record::new(&fresh.finished, fresh.target, 0, fresh.bits);
+                        if P::CONTROL {
+                            controls[at] = fresh.control;
+                        }
+                    }
+                }
             }
-            let receiver = receiver.filter(Receiver::scatters);
-            for chain in 0..chains {
-                let (mut record, mut control) = (Record::default(), Control::default());
-                if let Some(receiver) = &receiver {
-                    let mut selection = inputs.stream(pixel.index, Purpose::Selection, chain << 8);
-                    let from = sources.at(pixel);
-                    let first = (inputs.seeds(pixel.index), chain * (from.lights + from.bsdf));
-                    let chosen = candidates(receiver, from, first, &mut selection, &mut counters);
-                    let fresh = self.fresh(policy, receiver, chosen, &mut counters);
-                    record = Record::new(&fresh.finished, fresh.target, 0, fresh.bits);
-                    control = fresh.control;
+            if !any {
+                records[own.clone()].fill(Record::default());
+                if P::CONTROL {
+                    controls[own].fill(Control::default());
                 }
-                let at = local * chains as usize + chain as usize;
-                records[at] = record;
-                if let Some(out) = controls.get_mut(at) {
-                    *out = control;
-                }
+            }
+            if let Some(out) = normals.get_mut(local) {
+                *out = normal;
             }
         }
         counters

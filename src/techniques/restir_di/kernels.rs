@@ -129,9 +129,10 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
         for (pixel, out) in pixels.zip(radiance) {
             let mut sum = Vec3::ZERO;
             let estimates = inputs.estimates(pixel);
-            let hit = hits[pixel.index as usize].get();
-            let receiver = hit.map(|hit| domain.receiver(hit, pixel));
-            if let Some(receiver) = receiver.filter(|receiver| receiver.scatters()) {
+            if let Some(hit) = hits[pixel.index as usize].get()
+                && let receiver = domain.receiver(hit, pixel)
+                && receiver.scatters()
+            {
                 let (seeds, from) = (inputs.seeds(pixel.index), sources.at(pixel));
                 let each = from.lights + from.bsdf;
                 for estimate in 0..estimates {

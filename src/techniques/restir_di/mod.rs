@@ -420,7 +420,7 @@ mod tests {
         scene.name = "three lights".into();
         let stage = crate::frame::Stage::new(scene).unwrap();
         let shot =
-            Shot { size: [2, 2], depth: 2, filter: Filter::Point, run: 1, effort: 1, fps: 30 };
+            Shot { size: [2, 2], depth: 2, filter: Filter::Point, run: 1, effort: 1.0, fps: 30 };
         let d = RestirDi::default();
         for (technique, text) in [
             (RestirDi { rounds: 0, ..d }, "`rounds` is `0`, but must be an integer in [1, 8]"),

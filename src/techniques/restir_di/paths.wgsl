@@ -8,7 +8,7 @@ override ALL_LIGHT: bool = false;
 const OTHER_PATHS: u32 = 0x80000000u;
 
 fn paths(pixel: u32, x: u32, y: u32) {
-    let estimates = estimates_of(pixel);
+    let estimates = estimates_of(x, y);
     let hit = primary_hit(pixel);
     var sum = vec3f(0.0);
     if hit.primitive != MISS {

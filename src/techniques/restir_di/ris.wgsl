@@ -1,7 +1,7 @@
 // Twin of `ris` of `kernels.rs`: candidates without reuse, F V W of a fresh reservoir.
 
 fn ris(pixel: u32, x: u32, y: u32) {
-    let estimates = estimates_of(pixel);
+    let estimates = estimates_of(x, y);
     let hit = primary_hit(pixel);
     var sum = vec3f(0.0);
     if hit.primitive != MISS {
