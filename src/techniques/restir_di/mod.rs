@@ -408,15 +408,7 @@ impl Technique for RestirDi {
     }
 
     fn twin(&self, kernel: u32, plan: &Plan) -> Option<Twin> {
-        // The twins know one chain of a pixel, random taps and a spatial result that is kept.
-        let one_chain = plan
-            .id(Keys::<Record>::RESERVOIRS)
-            .is_none_or(|id| plan.buffers[id.0].bytes as usize == size_of::<Record>());
-        let known = self.taps == Taps::Random
-            && self.spatial == SpatialUse::Feedback
-            && self.mature == 0
-            && one_chain;
-        known.then(|| self.kernel_twin(kernel, plan))
+        Some(self.kernel_twin(kernel, plan))
     }
 
     fn describe(&self, buffer: &BufferPlan, element: &[u32]) -> Vec<(&'static str, String)> {
