@@ -1,4 +1,5 @@
-//! Experiments from code: two techniques at equal effort, and a short trial of one, on a scene built here.
+//! Experiments from code: two techniques at equal effort, and a short trial of one, on a scene
+//! built here.
 //!
 //! ```sh
 //! cargo run --release --example experiment

@@ -18,7 +18,8 @@ pub(super) struct PictureArgs {
     /// Picture size in pixels [default: the film's shape, longer side 256]
     #[arg(long, value_name = "WxH", value_parser = parse_size)]
     pub size: Option<[u32; 2]>,
-    /// Path segments from the camera: 1 is emission seen directly, 2 direct light [default: the scene's, at most 8]
+    /// Path segments from the camera: 1 is emission seen directly, 2 direct light [default: the
+    /// scene's, at most 8]
     #[arg(long, value_name = "D", value_parser = clap::value_parser!(u32).range(1..=64))]
     pub depth: Option<u32>,
     /// Frames a second: frame i shows time start + i/FPS, up to the scene's end
@@ -30,7 +31,8 @@ pub(super) struct PictureArgs {
     /// What runs the frames
     #[arg(long, value_enum, default_value_t = BackendArg::Cpu)]
     pub backend: BackendArg,
-    /// With --backend gpu, the first adapter whose name contains this, API in brackets: see `afterimage list adapters`
+    /// With --backend gpu, the first adapter whose name contains this, API in brackets: see
+    /// `afterimage list adapters`
     #[arg(long, value_name = "NAME")]
     pub adapter: Option<String>,
     /// Threads [default: one a logical core]
@@ -118,7 +120,9 @@ impl PictureArgs {
 /// What is changed in a scene before anything is rendered.
 #[derive(Args, Clone, Debug, Default)]
 pub(super) struct SceneArgs {
-    /// Let only this move: camera, light, occluder or all. What the file does not move slides by SHARE of the scene's diagonal a frame, the camera to its right, else along x [default of SHARE: 0.001]
+    /// Let only this move: camera, light, occluder or all. What the file does not move slides by
+    /// SHARE of the scene's diagonal a frame, the camera to its right, else along x [default of
+    /// SHARE: 0.001]
     #[arg(long, value_name = "WHAT[:SHARE]", value_parser = parse_motion)]
     pub motion: Option<SceneMotion>,
     /// A camera in place of the file's, which keeps its angle: eye, target, up vector

@@ -1,6 +1,7 @@
 //! The command line as reports show it.
 
-/// The command line as it was typed, with the program's bare name; arguments with other than plain characters are quoted.
+/// The command line as it was typed, with the program's bare name; arguments with other than plain
+/// characters are quoted.
 pub(super) fn command_line() -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_./:=,+@%".contains(c);
     let mut words = vec!["afterimage".to_string()];

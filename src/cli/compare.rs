@@ -15,9 +15,10 @@ use crate::{Error, Result};
 
 /// Compare techniques on a scene, at equal frame time or equal effort
 ///
-/// Renders or reuses a reference, runs each technique over independent restarts, prints a table, and writes results.json, table.md,
-/// table.csv, curve.csv, `error_time.svg`, spectrum.csv, warmup.csv, warmup.svg, contact.png and EXR and PNG pictures to the output folder. References are cached.
-/// Ctrl-C writes the restarts that are done and stops; a second Ctrl-C stops at once.
+/// Renders or reuses a reference, runs each technique over independent restarts, prints a table,
+/// and writes results.json, table.md, table.csv, curve.csv, `error_time.svg`, spectrum.csv,
+/// warmup.csv, warmup.svg, contact.png and EXR and PNG pictures to the output folder. References
+/// are cached. Ctrl-C writes the restarts that are done and stops; a second Ctrl-C stops at once.
 #[derive(Args, Debug)]
 #[command(after_help = "\
 Examples:
@@ -26,7 +27,7 @@ Examples:
   afterimage compare scenes/plates.pbrt --frame-time 100 --restarts 40
         as many estimates a frame as fit into 100 ms
   afterimage compare many-lights:10000:7 --techniques 'nee;bsdf' --spp 4
-        equal effort: 4.0 estimates a pixel each
+        equal effort: 4 estimates a pixel each
   afterimage compare scenes/moving.pbrt --frames 32 --check
         judge the 32nd frame; exit status 1 if an unbiased technique is found biased
   afterimage compare scenes/cornell.pbrt --motion light:0.005 --look-at 0,1,-4,0,1,0,0,1,0
@@ -45,13 +46,15 @@ pub(super) struct CompareArgs {
     /// Positions of primary rays
     #[arg(long, value_enum, default_value_t = FilterArg::Point)]
     filter: FilterArg,
-    /// Milliseconds a frame, met within 5 % where an effort fits, else marked [default: the slowest technique's at effort 1]
+    /// Milliseconds a frame: without reservoirs met within 5 %, else marked; with reservoirs by the
+    /// nearest whole effort [default: the slowest technique's at effort 1]
     #[arg(long, value_name = "MS", conflicts_with = "spp", value_parser = parse_positive)]
     frame_time: Option<f64>,
     /// Complete independent estimates a pixel and frame, instead of a frame time
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_048_576))]
     spp: Option<u32>,
-    /// Judge this frame after a cold start (of a technique without history, in a still scene, the second: all have one law)
+    /// Judge this frame after a cold start (of a technique without history, in a still scene, the
+    /// second: all have one law)
     #[arg(long, value_name = "N", default_value_t = 16, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     frames: u32,
     /// Judge the mean of all frames instead of the last
@@ -63,7 +66,8 @@ pub(super) struct CompareArgs {
     /// Restarts of each further point of the error-against-time curve; 0 leaves the curve out
     #[arg(long, value_name = "R", default_value_t = 4)]
     curve_restarts: u32,
-    /// Write the error of every frame for all techniques [default: for those that keep history, where the scene is still]
+    /// Write the error of every frame for all techniques [default: for those that keep history,
+    /// where the scene is still]
     #[arg(long, conflicts_with = "accumulate")]
     warmup: bool,
     #[command(flatten)]

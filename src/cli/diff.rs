@@ -13,7 +13,8 @@ use crate::{Error, Result};
 
 /// Metrics of picture A against picture B
 ///
-/// B is the reference. A layer named `emission` (directly visible emission, as `render` writes it) is taken out of its picture first.
+/// B is the reference. A layer named `emission` (directly visible emission, as `render` writes it)
+/// is taken out of its picture first.
 #[derive(Args, Debug)]
 #[command(
     after_help = "Example:\n  afterimage diff out/cornell/nee.exr out/cornell/reference.exr --json"

@@ -1,5 +1,5 @@
-//! `inspect`: one pixel, from its surface over its candidates to its single estimates and what its reservoir
-//! keeps ([`crate::experiment::Inspection`]).
+//! `inspect`: one pixel, from its surface over its candidates to its single estimates and what its
+//! reservoir keeps ([`crate::experiment::Inspection`]).
 
 use std::fmt::Write as _;
 
@@ -17,7 +17,8 @@ use crate::stats::Moments;
 /// Lights that are shown.
 const MOST_LIGHTS: usize = 12;
 
-/// Look at one pixel: surface, lights, candidates with their weights, a technique's estimates one by one, its reservoir
+/// Look at one pixel: surface, lights, candidates with their weights, a technique's estimates one
+/// by one, its reservoir
 #[derive(Args, Debug)]
 #[command(
     after_help = "Example:\n  afterimage inspect scenes/cornell.pbrt --technique nee --pixel 128,150 --samples 16"

@@ -1,4 +1,5 @@
-//! Ctrl-C: the first asks the run to stop between two frames and write what it has, the second ends the process.
+//! Ctrl-C: the first asks the run to stop between two frames and write what it has, the second ends
+//! the process.
 
 use std::sync::Once;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -9,7 +10,8 @@ pub(super) const STATUS: u8 = 130;
 static ASKED: AtomicBool = AtomicBool::new(false);
 static INSTALLED: Once = Once::new();
 
-/// Starts to listen. Where the system has no such signal, runs cannot be interrupted cleanly, and that is all.
+/// Starts to listen. Where the system has no such signal, runs cannot be interrupted cleanly, and
+/// that is all.
 pub(super) fn listen() {
     INSTALLED.call_once(|| {
         let _ = ctrlc::set_handler(|| {

@@ -13,9 +13,10 @@ use crate::{Error, Result};
 
 /// Measure how many frames a technique takes to follow a sudden change
 ///
-/// After some frames of a still scene its lights, or its smallest other surface, jump by their own diagonal along x. Prints the step
-/// response (0: as before, 1: as after) and the error of the frames that follow, as means over restarts with 95 % intervals, and the
-/// first frame whose mean response is 90 % or more. Direct light (depth 2) unless --depth says otherwise.
+/// After some frames of a still scene its lights, or its smallest other surface, jump by their own
+/// diagonal along x. Prints the step response (0: as before, 1: as after) and the error of the
+/// frames that follow, as means over restarts with 95 % intervals, and the first frame whose mean
+/// response is 90 % or more. Direct light (depth 2) unless --depth says otherwise.
 #[derive(Args, Debug)]
 #[command(after_help = "\
 Examples:
@@ -79,7 +80,7 @@ pub(super) fn run(args: &LagArgs) -> Result<Status> {
         before: args.before,
         after: args.after,
         restarts: args.restarts,
-        effort: args.spp,
+        effort: args.spp as f32,
         reference: args.reference.settings(),
     };
     let outcome = lag.run(&session, &technique)?;

@@ -1,8 +1,9 @@
-//! The `afterimage` command: parsed arguments to an experiment to a report. One module a command; what they run is in
-//! [`crate::experiment`].
+//! The `afterimage` command: parsed arguments to an experiment to a report. One module a command;
+//! what they run is in [`crate::experiment`].
 //!
-//! Exit status: 0 done; 1 a verdict failed where `--check` asked for it; 2 bad input or options, with the reason in one line on
-//! standard error; 130 stopped by Ctrl-C, after whole files of what was done were written.
+//! Exit status: 0 done; 1 a verdict failed where `--check` asked for it; 2 bad input or options,
+//! with the reason in one line on standard error; 130 stopped by Ctrl-C, after whole files of what
+//! was done were written.
 //!
 //! Figures and tables go to standard output; progress, warnings and errors to standard error.
 

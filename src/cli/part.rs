@@ -8,8 +8,8 @@ pub(super) fn percent(part: &Part, confidence: f64) -> String {
     format!("{:+.2} [{:+.2}, {:+.2}]", 100.0 * part.relative(), 100.0 * low, 100.0 * high)
 }
 
-/// Where a part lies, without what goes without saying: `blue`, `(16, 0)`, `blue of (16, 0)`; empty for the
-/// image's luminance.
+/// Where a part lies, without what goes without saying: `blue`, `(16, 0)`, `blue of (16, 0)`; empty
+/// for the image's luminance.
 pub(super) fn place(part: &Part) -> String {
     let quantity = match part.quantity {
         Quantity::Luminance => "",

@@ -1,4 +1,5 @@
-//! `plan`: what a technique will run on a scene, what the scene lets it leave out, and what is left takes.
+//! `plan`: what a technique will run on a scene, what the scene lets it leave out, and what is left
+//! takes.
 
 use std::sync::Arc;
 
@@ -33,17 +34,23 @@ pub(super) struct PlanArgs {
     /// Positions of primary rays
     #[arg(long, value_enum, default_value_t = FilterArg::Point)]
     filter: FilterArg,
+    /// Independent estimates a pixel and frame; of a technique that keeps reservoirs, chains of them
+    #[arg(long, value_name = "N", default_value_t = 1.0)]
+    spp: f32,
     /// Print JSON
     #[arg(long, conflicts_with = "measure")]
     json: bool,
-    /// Render N frames and show what each pass and pixel took, as medians of the second half of them
+    /// Render N frames and show what each pass and pixel took, as medians of the second half of
+    /// them
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=1_000_000))]
     measure: Option<u32>,
 }
 
 pub(super) fn run(args: &PlanArgs) -> Result<Status> {
     let technique = technique(&args.technique)?;
-    let session = args.picture.open(&args.scene, args.filter, None)?;
+    let mut session = args.picture.open(&args.scene, args.filter, None)?;
+    session.shot.effort = args.spp;
+    session.shot.validate()?;
     let plan = session.plan(&*technique);
     let pixels = session.shot.pixels();
     let text = if args.json {
@@ -66,7 +73,7 @@ pub(super) fn run(args: &PlanArgs) -> Result<Status> {
 
 /// Time of each pass and work of a pixel in a steady frame.
 fn measured(session: &Session, technique: &Arc<dyn Technique>, count: u32) -> Result<String> {
-    let mut frames = session.start(technique, session.shot.effort as u32, session.shot.run)?;
+    let mut frames = session.start(technique, session.shot.effort, session.shot.run)?;
     let progress = session.host().begin("frames", u64::from(count));
     let mut passes: Vec<(&'static str, Vec<f64>)> = Vec::new();
     let mut totals = Vec::new();

@@ -13,13 +13,16 @@ use crate::picture::Picture;
 use crate::report::{Layer, Tile, ToneMap, write_exr, write_png};
 use crate::{Error, Result};
 
-/// Most estimates of one frame where `--spp` may be spread over frames, so that progress shows and Ctrl-C is heard.
+/// Most estimates of one frame where `--spp` may be spread over frames, so that progress shows and
+/// Ctrl-C is heard.
 const CHUNK: u32 = 8;
 
-/// Render one picture: EXR with albedo, normal, depth, motion and emission layers, and a PNG beside it
+/// Render one picture: EXR with albedo, normal, depth, motion and emission layers, and a PNG beside
+/// it
 ///
-/// The layer `color` is the picture; `emission` is the part of it that is seen directly. --frames shows frame N as a real-time
-/// technique would, after N-1 frames of history; --spp averages N complete estimates a pixel. Ctrl-C writes what is done.
+/// The layer `color` is the picture; `emission` is the part of it that is seen directly. --frames
+/// shows frame N as a real-time technique would, after N-1 frames of history; --spp averages N
+/// complete estimates a pixel. Ctrl-C writes what is done.
 #[derive(Args, Debug)]
 #[command(after_help = "\
 Examples:
@@ -80,15 +83,16 @@ pub(super) fn run(args: &RenderArgs) -> Result<Status> {
     let spread = !session.plan(&*technique).keeps_history() && !session.stage.facts().moves();
     let (shown, interrupted) = match args.spp {
         Some(spp) if spread => {
-            // Frames without history are independent estimates, so frames of a smaller effort are the same mean.
+            // Frames without history are independent estimates, so frames of a smaller effort are
+            // the same mean.
             let whole = spp / CHUNK;
             let rest = spp % CHUNK;
-            let mut frames = session.start(&technique, CHUNK.min(spp), run)?;
+            let mut frames = session.start(&technique, CHUNK.min(spp) as f32, run)?;
             let last = if rest > 0 && whole > 0 {
                 Some((
                     session.start(
                         &technique,
-                        rest,
+                        rest as f32,
                         seed(args.picture.seed, SeedUse::Restart, 0, 1),
                     )?,
                     rest,
@@ -100,12 +104,12 @@ pub(super) fn run(args: &RenderArgs) -> Result<Status> {
             accumulate(&session, &mut frames, run)?
         }
         Some(spp) => {
-            let mut frames = session.start(&technique, spp, run)?;
+            let mut frames = session.start(&technique, spp as f32, run)?;
             accumulate(&session, &mut frames, Frames { count: 1, effort: spp, last: None })?
         }
         None => {
             let count = args.frames.unwrap_or(16);
-            let mut frames = session.start(&technique, 1, run)?;
+            let mut frames = session.start(&technique, 1.0, run)?;
             if args.accumulate {
                 accumulate(&session, &mut frames, Frames { count, effort: 1, last: None })?
             } else {

@@ -1,8 +1,9 @@
 //! `verify`: is a technique's mean right, at every age of its history?
 //!
-//! The sample is a whole restart; pictures of one restart are never taken for independent. At every age the image and its four
-//! tiles, in luminance and each channel, are compared with a reference made by another technique: [`Trial`]. With `--ladder`
-//! a table of rungs is verified, from one without any reuse to all of it on moving scenes: [`super::ladder`].
+//! The sample is a whole restart; pictures of one restart are never taken for independent. At every
+//! age the image and its four tiles, in luminance and each channel, are compared with a reference
+//! made by another technique: [`Trial`]. With `--ladder` a table of rungs is verified, from one
+//! without any reuse to all of it on moving scenes: [`super::ladder`].
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -32,10 +33,11 @@ const SCENES: [&str; 4] = [
 ];
 /// Test whether a technique is unbiased: restarts against a reference of another technique
 ///
-/// Prints, for every scene and frame age, the verdict (pass, fail, inconclusive), the relative bias with its interval, the number of
-/// restarts, their skewness and the seeds. `pass` means: with 99.9 % confidence the bias of the image is below DELTA and that of
-/// each of its four tiles below 2 DELTA, in luminance and every channel, at every age. `fail` means: a difference is certain (10^-4)
-/// and above half of that. `inconclusive`: neither is shown.
+/// Prints, for every scene and frame age, the verdict (pass, fail, inconclusive), the relative bias
+/// with its interval, the number of restarts, their skewness and the seeds. `pass` means: with 99.9
+/// % confidence the bias of the image is below DELTA and that of each of its four tiles below 2
+/// DELTA, in luminance and every channel, at every age. `fail` means: a difference is certain
+/// (10^-4) and above half of that. `inconclusive`: neither is shown.
 #[derive(Args, Debug)]
 #[command(after_help = "\
 Examples:
@@ -61,22 +63,26 @@ pub(super) struct VerifyArgs {
     /// DELTA 1 %, 32x32 pixels, fewer ages, one scene: finds large errors only
     #[arg(long)]
     pub quick: bool,
-    /// Verify SPEC as far as its parts go: a table of rungs, each with parameters and motion of its own; depth 2 unless given
+    /// Verify SPEC as far as its parts go: a table of rungs, each with parameters and motion of its
+    /// own; depth 2 unless given
     #[arg(long)]
     pub ladder: bool,
     /// Only the rung of this name, or rungs whose name contains it; `still`: all without motion
     #[arg(long, value_name = "TEXT", requires = "ladder")]
     pub rungs: Option<String>,
-    /// Minutes that the ladder may take; rungs get as many restarts as fit [default: no limit, with --quick 7]
+    /// Minutes that the ladder may take; rungs get as many restarts as fit [default: no limit, with
+    /// --quick 7]
     #[arg(long, value_name = "M", requires = "ladder", value_parser = super::args::parse_positive)]
     pub minutes: Option<f64>,
     /// Write the ladder's table as Markdown, too
     #[arg(long, value_name = "FILE.md", requires = "ladder")]
     pub out: Option<PathBuf>,
-    /// Bias of the image that passes, in percent; tiles may have twice as much [default: 0.5, with --quick 1]
+    /// Bias of the image that passes, in percent; tiles may have twice as much [default: 0.5, with
+    /// --quick 1]
     #[arg(long, value_name = "PERCENT", value_parser = parse_percent)]
     pub delta: Option<f64>,
-    /// Frames after the cold start that are judged [default: 1,2,5,20,50, with --quick 1,5,20; 1 where all frames are alike]
+    /// Frames after the cold start that are judged [default: 1,2,5,20,50, with --quick 1,5,20; 1
+    /// where all frames are alike]
     #[arg(long, value_name = "N,N", value_parser = parse_ages)]
     pub ages: Option<Ages>,
     #[command(flatten)]
@@ -86,7 +92,9 @@ pub(super) struct VerifyArgs {
     /// Positions of primary rays
     #[arg(long, value_enum, default_value_t = FilterArg::Point)]
     pub filter: FilterArg,
-    /// Restarts of the first stage; where that is no pass, a second makes four times as many [default: as many as a pilot asks for, at least 64, as fit into 20 minutes or, with --quick, one; fewer reach old ages than young ones]
+    /// Restarts of the first stage; where that is no pass, a second makes four times as many
+    /// [default: as many as a pilot asks for, at least 64, as fit into 20 minutes or, with --quick,
+    /// one; fewer reach old ages than young ones]
     #[arg(long, value_name = "R", value_parser = clap::value_parser!(u32).range(2..=1_000_000))]
     pub restarts: Option<u32>,
     /// Complete independent estimates a pixel and frame
@@ -111,7 +119,7 @@ impl VerifyArgs {
                 Some(Ages(ages)) => experiment::Ages::Given(ages.clone()),
                 None => default.ages,
             },
-            effort: self.spp,
+            effort: self.spp as f32,
             delta: self.delta.map_or(default.delta, |percent| 0.01 * percent),
             restarts: self.restarts,
             against: self.against.as_deref().map(technique).transpose()?,
@@ -120,8 +128,8 @@ impl VerifyArgs {
         })
     }
 
-    /// Opens a scene for small pictures and many restarts: the tiles' means are as certain, and the restarts' law
-    /// is better known.
+    /// Opens a scene for small pictures and many restarts: the tiles' means are as certain, and the
+    /// restarts' law is better known.
     pub(super) fn open(
         &self,
         scene: &str,
@@ -263,9 +271,11 @@ fn judged_tile(age: &AgeOutcome, confidence: f64) -> Option<&crate::stats::Part>
         .max_by(|a, b| a.reach(confidence).total_cmp(&b.reach(confidence)))
 }
 
-/// p of equal mean luminance at the first and the last age of a still scene; `None` for a single age.
+/// p of equal mean luminance at the first and the last age of a still scene; `None` for a single
+/// age.
 ///
-/// Ages of one restart are positively correlated, so treating them as independent overstates the difference's error: conservative.
+/// Ages of one restart are positively correlated, so treating them as independent overstates the
+/// difference's error: conservative.
 fn slope(judged: &StageOutcome) -> Option<f64> {
     let (first, last) = (judged.ages.first()?, judged.ages.last()?);
     if first.frames == last.frames {

@@ -1,4 +1,5 @@
-//! Whether a technique's mean is the reference's: the picture and its four quarters, over independent restarts.
+//! Whether a technique's mean is the reference's: the picture and its four quarters, over
+//! independent restarts.
 
 use crate::Result;
 use crate::report::{Bias, Reference};
@@ -7,11 +8,13 @@ use crate::stats::{self, Criteria, PictureTest, Restarts};
 /// No restarts yet of a picture in four tiles.
 pub(crate) fn restarts(size: [u32; 2]) -> Result<Restarts> {
     let [width, height] = size.map(|side| side as usize);
-    // A tile of half the longer side gives two columns and two rows at most, and at least one of each.
+    // A tile of half the longer side gives two columns and two rows at most, and at least one of
+    // each.
     Restarts::new(width, height, width.max(height).div_ceil(2), None)
 }
 
-/// The truth that tests compare with, as a reference gives it. One read from a file has no known variance and counts as exact.
+/// The truth that tests compare with, as a reference gives it. One read from a file has no known
+/// variance and counts as exact.
 pub(crate) fn truth(reference: &Reference) -> Result<stats::Truth> {
     let Some(variance) = reference.pixel_variances() else { return exact(reference) };
     let [width, height] = reference.size().map(|side| side as usize);
@@ -34,7 +37,8 @@ pub(crate) fn judge(
     restarts.compare(&truth(reference)?, criteria)
 }
 
-/// As `results.json` has it: the difference of mean luminance with its 95 % interval, relative to the reference.
+/// As `results.json` has it: the difference of mean luminance with its 95 % interval, relative to
+/// the reference.
 pub(crate) fn report(test: &PictureTest) -> Bias {
     let scale = test.reference_luminance.recip();
     let relative = test.relative();
@@ -49,7 +53,8 @@ pub(crate) fn report(test: &PictureTest) -> Bias {
     }
 }
 
-/// Variance of a single restart's pixel, averaged over pixels and channels; infinite with fewer than two restarts.
+/// Variance of a single restart's pixel, averaged over pixels and channels; infinite with fewer
+/// than two restarts.
 pub(crate) fn mean_variance(restarts: &Restarts, pixels: usize) -> f64 {
     let sum: f64 = (0..pixels).flat_map(|i| restarts.pixel(i)).map(stats::Moments::variance).sum();
     sum / (3 * pixels) as f64
@@ -76,7 +81,8 @@ mod tests {
         Picture::new(SIZE[0], SIZE[1], pixels)
     }
 
-    /// 4000 restarts against 4000 frames: the standard error of the difference is 0.09 % (image), 0.23 % (tile of 32 pixels).
+    /// 4000 restarts against 4000 frames: the standard error of the difference is 0.09 % (image),
+    /// 0.23 % (tile of 32 pixels).
     fn outcome(gain: f32) -> PictureTest {
         let mut reference = Reference::new(SIZE);
         let mut sample = restarts(SIZE).unwrap();

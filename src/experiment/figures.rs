@@ -12,7 +12,8 @@ pub(crate) fn over_restarts(moments: &Moments) -> Figure {
     Figure { mean: moments.mean(), ci }
 }
 
-/// All figures of one picture; those that need guides only where there are some, and none that is undefined (a black reference).
+/// All figures of one picture; those that need guides only where there are some, and none that is
+/// undefined (a black reference).
 pub(crate) fn of_picture(
     picture: &Picture,
     truth: &Picture,

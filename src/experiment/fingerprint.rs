@@ -1,7 +1,7 @@
 //! What a scene's picture depends on, as bytes for a cache key.
 //!
-//! The *loaded* scene is hashed, not its files: that covers every file it refers to, a generator's output and a changed loader, and
-//! a comment in a file changes nothing.
+//! The *loaded* scene is hashed, not its files: that covers every file it refers to, a generator's
+//! output and a changed loader, and a comment in a file changes nothing.
 
 use std::fmt::{Debug, Write as _};
 use std::hash::Hasher;

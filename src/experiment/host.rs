@@ -2,8 +2,8 @@
 
 use std::fmt;
 
-/// A program that runs experiments. Every method has a default that does nothing, so a host implements
-/// what it has a use for; [`Silent`] implements none.
+/// A program that runs experiments. Every method has a default that does nothing, so a host
+/// implements what it has a use for; [`Silent`] implements none.
 ///
 /// ```
 /// use afterimage::experiment::{Host, Silent, Steps};
@@ -24,8 +24,8 @@ use std::fmt;
 /// }
 /// ```
 pub trait Host: fmt::Debug + Send + Sync {
-    /// A stretch of work of `steps` steps begins. What is returned hears of them, and is dropped when the
-    /// work ends, however it ends.
+    /// A stretch of work of `steps` steps begins. What is returned hears of them, and is dropped
+    /// when the work ends, however it ends.
     fn begin(&self, _what: &'static str, _steps: u64) -> Box<dyn Steps> {
         Box::new(Silent)
     }
@@ -33,8 +33,8 @@ pub trait Host: fmt::Debug + Send + Sync {
     /// A remark that is no error: a loader's warning, a stored reference that is made anew.
     fn note(&self, _text: &str) {}
 
-    /// Whether to stop. It is called between any two frames; an experiment that was stopped returns an
-    /// error that [is an interruption](crate::Error::is_interrupted), or what it has so far.
+    /// Whether to stop. It is called between any two frames; an experiment that was stopped returns
+    /// an error that [is an interruption](crate::Error::is_interrupted), or what it has so far.
     fn stopped(&self) -> bool {
         false
     }

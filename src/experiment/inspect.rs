@@ -1,5 +1,5 @@
-//! One pixel: its surface, the lights as it sees them, a technique's estimates one by one, and what the
-//! technique keeps of it.
+//! One pixel: its surface, the lights as it sees them, a technique's estimates one by one, and what
+//! the technique keeps of it.
 
 use std::sync::Arc;
 
@@ -40,7 +40,8 @@ pub struct Inspected {
     pub plan: Plan,
     /// The pixel's value in each restart.
     pub estimates: Vec<Vec3>,
-    /// What the technique's buffers held of the pixel after the last restart, where it says something.
+    /// What the technique's buffers held of the pixel after the last restart, where it says
+    /// something.
     pub state: Vec<BufferState>,
 }
 
@@ -70,7 +71,8 @@ pub struct SeenSurface {
     pub lights: Vec<(u32, f32)>,
 }
 
-/// A light sample, with what resampling and MIS make of it. Densities are in the light's own measure.
+/// A light sample, with what resampling and MIS make of it. Densities are in the light's own
+/// measure.
 #[derive(Clone, Copy, Debug)]
 pub struct Candidate {
     /// The light's number.
@@ -123,7 +125,7 @@ impl Inspection {
         });
 
         let progress = session.host().begin("estimates", u64::from(self.samples));
-        let mut frames = session.start(technique, 1, 0)?;
+        let mut frames = session.start(technique, 1.0, 0)?;
         let plan = frames.plan().clone();
         let mut estimates = Vec::new();
         let mut state = Vec::new();
@@ -192,7 +194,8 @@ fn candidates(receiver: &Receiver<'_>, count: u32, random: &mut Stream) -> Vec<C
     (0..count).map(|_| one()).collect()
 }
 
-/// The surface in the pixel's centre, and the receiver that it is; the sky's radiance where there is none.
+/// The surface in the pixel's centre, and the receiver that it is; the sky's radiance where there
+/// is none.
 fn seen_surface(
     world: &World,
     pixel: [u32; 2],

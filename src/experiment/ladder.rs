@@ -1,8 +1,8 @@
 //! A technique rung by rung, so that the first rung that fails names the part that is wrong.
 //!
-//! A rung is parameters and a motion. Still rungs stand on still scenes, moving ones on scenes in which only
-//! the named thing moves ([`super::moving`]); every frame that is judged has a reference of its own time.
-//! References are shared between rungs.
+//! A rung is parameters and a motion. Still rungs stand on still scenes, moving ones on scenes in
+//! which only the named thing moves ([`super::moving`]); every frame that is judged has a reference
+//! of its own time. References are shared between rungs.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -15,8 +15,8 @@ use crate::stats::{Part, Verdict};
 use crate::techniques::{Entry, Moving, Rung, Technique};
 use crate::{Error, Result};
 
-/// Share of a rung's time that its references may take where the ladder's time is limited; what they leave
-/// is for restarts.
+/// Share of a rung's time that its references may take where the ladder's time is limited; what
+/// they leave is for restarts.
 const REFERENCE_SHARE: f64 = 0.3;
 
 /// How a technique is tested rung by rung.
@@ -26,8 +26,8 @@ pub struct Ladder {
     pub rungs: Option<String>,
     /// Minutes that all rungs may take; they get as many restarts as fit.
     pub minutes: Option<f64>,
-    /// How each rung is tested. Its time and number are the ladder's, and only a claim of no bias is confirmed
-    /// by a second stage.
+    /// How each rung is tested. Its time and number are the ladder's, and only a claim of no bias
+    /// is confirmed by a second stage.
     pub trial: Trial,
 }
 
@@ -72,7 +72,8 @@ pub struct LadderRow {
     pub confidence: f64,
     /// Restarts that were judged at the first and at the last age.
     pub restarts: [u64; 2],
-    /// The rung's number in the whole ladder, whatever part of it was run: what its seeds derive from.
+    /// The rung's number in the whole ladder, whatever part of it was run: what its seeds derive
+    /// from.
     pub number: u32,
     /// The stage that decided: 1 or 2.
     pub stage: u32,
@@ -129,8 +130,8 @@ impl Task<'_> {
 }
 
 impl Ladder {
-    /// Path segments that rungs are usually run with: direct light, which is what samples of lights can make.
-    /// Everything longer hides it behind noise.
+    /// Path segments that rungs are usually run with: direct light, which is what samples of lights
+    /// can make. Everything longer hides it behind noise.
     pub const DEPTH: u32 = 2;
 
     /// Runs the rungs of a technique, registered or not, whose own parameters are `keys`
@@ -138,8 +139,8 @@ impl Ladder {
     /// ladder gets the rows that were found.
     ///
     /// # Errors
-    /// A specification that some rung's parameters contradict, and no rung of the wanted name, before any
-    /// work; whatever a trial refuses.
+    /// A specification that some rung's parameters contradict, and no rung of the wanted name,
+    /// before any work; whatever a trial refuses.
     pub fn run(
         &self,
         entry: &Entry,
@@ -187,8 +188,8 @@ impl Ladder {
             number: task.number,
             ..self.trial.clone()
         };
-        // A reference serves later rungs too, so its time counts for all of them; its remaining noise is part
-        // of every interval.
+        // A reference serves later rungs too, so its time counts for all of them; its remaining
+        // noise is part of every interval.
         let share = REFERENCE_SHARE * seconds / ages.len() as f64;
         trial.reference.seconds = trial.reference.seconds.min(share.max(1.0));
         let outcome = trial.run(&session, &task.technique, pool, |_, _| Ok(()))?;
@@ -230,8 +231,8 @@ impl Ladder {
     }
 }
 
-/// Seconds for the next of `tasks`, so that easy ones leave time to hard ones and all together keep within
-/// `left`.
+/// Seconds for the next of `tasks`, so that easy ones leave time to hard ones and all together keep
+/// within `left`.
 fn allowance(left: f64, tasks: usize) -> f64 {
     left * (2.0 / tasks as f64).min(1.0)
 }

@@ -1,10 +1,10 @@
 //! How many frames a technique needs to show that the scene has changed at once.
 //!
-//! The scene stands still until a light or an occluder jumps by its own diagonal. The step response of a frame
-//! is how far the pixels that change have gone from the old scene's reference a to the new one's b:
-//! s = Σ sign(b − a) (x − a) / Σ |b − a| over pixels whose luminance changes by more than a tenth of the
-//! largest change. A technique whose every frame is unbiased has s = 1 in the first frame, however much
-//! history it keeps.
+//! The scene stands still until a light or an occluder jumps by its own diagonal. The step response
+//! of a frame is how far the pixels that change have gone from the old scene's reference a to the
+//! new one's b: s = Σ sign(b − a) (x − a) / Σ |b − a| over pixels whose luminance changes by more
+//! than a tenth of the largest change. A technique whose every frame is unbiased has s = 1 in the
+//! first frame, however much history it keeps.
 
 use std::sync::Arc;
 
@@ -50,8 +50,8 @@ pub struct Lag {
     pub after: u32,
     /// Independent restarts.
     pub restarts: u32,
-    /// Complete independent estimates a pixel and frame.
-    pub effort: u32,
+    /// Complete independent estimates a pixel and frame ([`Shot::effort`]).
+    pub effort: f32,
     /// Where references come from; a file is refused, for a change has two.
     pub reference: ReferenceSettings,
 }
@@ -64,7 +64,7 @@ impl Default for Lag {
             before: 30,
             after: 30,
             restarts: 20,
-            effort: 1,
+            effort: 1.0,
             reference: ReferenceSettings::default(),
         }
     }
@@ -100,8 +100,8 @@ impl Lag {
     /// Measures a technique's lag on a session's scene as it stands at its start.
     ///
     /// # Errors
-    /// An interruption; a scene without what shall jump, or that its jump does not change; whatever a loop or
-    /// a reference refuses.
+    /// An interruption; a scene without what shall jump, or that its jump does not change; whatever
+    /// a loop or a reference refuses.
     pub fn run(&self, session: &Session, technique: &Arc<dyn Technique>) -> Result<LagOutcome> {
         if self.reference.file.is_some() {
             return Err(Error::usage(
@@ -111,7 +111,8 @@ impl Lag {
         let old = still(session.stage.scene());
         let new = changed(&old, self.change)?;
 
-        // A stage of its own: everything counts as moving, so no pass is left out before the change.
+        // A stage of its own: everything counts as moving, so no pass is left out before the
+        // change.
         let stage = Stage::moving(old.clone())?;
         let shot = Shot { effort: self.effort as f32, ..session.shot };
         let mut frames =
@@ -249,7 +250,8 @@ mod tests {
         assert_eq!(step.pixels.len(), 2, "0.01 is less than a tenth of 2");
         assert!(step.response(&before).abs() < 1e-6);
         assert!((step.response(&after) - 1.0).abs() < 1e-6);
-        // Half of the way in one pixel, all of it in the other: (1 + 1) / 3. Other pixels do not matter.
+        // Half of the way in one pixel, all of it in the other: (1 + 1) / 3. Other pixels do not
+        // matter.
         let half = grey(&[2.0, 1.0, 900.0, 900.0]);
         assert!((step.response(&half) - 2.0 / 3.0).abs() < 1e-6);
         assert!(Step::new(&before, &before).is_err());

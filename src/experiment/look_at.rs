@@ -14,11 +14,12 @@ pub struct LookAt {
 }
 
 impl LookAt {
-    /// A camera at `eye` with `target` in the middle of its picture and `up` pointing upwards there.
+    /// A camera at `eye` with `target` in the middle of its picture and `up` pointing upwards
+    /// there.
     ///
     /// # Errors
-    /// A usage error where a number is not finite, the target is the eye, or `up` has no length or lies along the
-    /// direction of view.
+    /// A usage error where a number is not finite, the target is the eye, or `up` has no length or
+    /// lies along the direction of view.
     pub fn new(eye: Vec3, target: Vec3, up: Vec3) -> Result<Self> {
         let [from, to, above] = [eye, target, up].map(Vec3::as_dvec3);
         if !(from + to + above).is_finite() {
@@ -40,7 +41,8 @@ impl LookAt {
         Ok(Self { eye, forward: forward.as_vec3(), up: up.as_vec3() })
     }
 
-    /// The camera, with the angle of another and, so that no picture is mirrored that was not, its handedness.
+    /// The camera, with the angle of another and, so that no picture is mirrored that was not, its
+    /// handedness.
     pub(super) fn camera(self, other: &Camera, time: f32) -> Camera {
         let right = self.up.cross(self.forward);
         let mirrored = other.to_world.at(time).matrix3.determinant() < 0.0;

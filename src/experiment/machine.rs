@@ -2,8 +2,9 @@
 
 use std::process::Command;
 
-/// The commit this binary was built from: `AFTERIMAGE_COMMIT` of the build, else that of the checkout it was built in (with `+`
-/// where files differ from it), else `unknown`. A binary older than its checkout names the checkout's.
+/// The commit this binary was built from: `AFTERIMAGE_COMMIT` of the build, else that of the
+/// checkout it was built in (with `+` where files differ from it), else `unknown`. A binary older
+/// than its checkout names the checkout's.
 pub(crate) fn commit() -> String {
     if let Some(commit) = option_env!("AFTERIMAGE_COMMIT") {
         return commit.to_string();

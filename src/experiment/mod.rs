@@ -1,5 +1,6 @@
-//! Experiments with techniques, without a command line: comparison at equal time, tests of means, ladders of
-//! such tests, lag. What `afterimage compare`, `verify`, `lag` and `inspect` print is found here.
+//! Experiments with techniques, without a command line: comparison at equal time, tests of means,
+//! ladders of such tests, lag. What `afterimage compare`, `verify`, `lag` and `inspect` print is
+//! found here.
 //!
 //! ```text
 //! Scene + SessionSettings ──► Session ──► Comparison, Trial, Ladder, Lag, Inspection ──► outcome
@@ -7,8 +8,9 @@
 //!                   Host: progress, remarks, whether to stop
 //! ```
 //!
-//! An experiment is a plain struct of settings with defaults and a method `run`, which takes a [`Session`] and
-//! techniques, registered or not. A [`Host`] hears of progress and may stop the work between two frames.
+//! An experiment is a plain struct of settings with defaults and a method `run`, which takes a
+//! [`Session`] and techniques, registered or not. A [`Host`] hears of progress and may stop the
+//! work between two frames.
 //!
 //! | experiment | answers |
 //! |---|---|

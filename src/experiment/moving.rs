@@ -1,7 +1,8 @@
 //! Scenes with one thing moving, made in memory from scene files.
 //!
-//! A scene that moves has all but the wanted motion stopped at its start. A still one is taken apart, an instance a shape, and the
-//! wanted thing slides along a line: the camera to its right, lights and occluder along x.
+//! A scene that moves has all but the wanted motion stopped at its start. A still one is taken
+//! apart, an instance a shape, and the wanted thing slides along a line: the camera to its right,
+//! lights and occluder along x.
 
 use glam::{Affine3A, Quat, Vec3};
 
@@ -12,18 +13,19 @@ use crate::techniques::Moving;
 use crate::world::bounds;
 use crate::{Error, Result};
 
-/// Of rungs, the path of the camera as a share of the scene's diagonal, and of a thing as a share of its own.
+/// Of rungs, the path of the camera as a share of the scene's diagonal, and of a thing as a share
+/// of its own.
 const CAMERA_PATH: f32 = 0.03;
 const THING_PATH: f32 = 0.5;
-/// Frames after which what was made to move stands still. Their number is fixed, so that a frame's scene, and with
-/// it the key of its reference, does not depend on how many frames a run has.
+/// Frames after which what was made to move stands still. Their number is fixed, so that a frame's
+/// scene, and with it the key of its reference, does not depend on how many frames a run has.
 const SLIDE_FRAMES: u32 = 1000;
 
 /// How far what has to be made to move slides.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Slide {
-    /// Within so many seconds a rung's way: the camera three hundredths of the scene's diagonal, a thing half of its
-    /// own.
+    /// Within so many seconds a rung's way: the camera three hundredths of the scene's diagonal, a
+    /// thing half of its own.
     Rung(f32),
     /// By a share of the scene's diagonal a frame, of so many frames a second.
     Share { share: f32, fps: u32 },
@@ -38,7 +40,8 @@ impl Slide {
         }
     }
 
-    /// How far the camera goes, or a thing of a diagonal of its own, in a scene of diagonal `scene`.
+    /// How far the camera goes, or a thing of a diagonal of its own, in a scene of diagonal
+    /// `scene`.
     fn length(self, scene: f32, thing: Option<f32>) -> f32 {
         match (self, thing) {
             (Self::Share { share, .. }, _) => SLIDE_FRAMES as f32 * share * scene,
@@ -61,8 +64,8 @@ impl SceneMotion {
     /// The largest share.
     pub const MOST: f32 = 0.1;
 
-    /// Only `moving` moves. What has to be made to move slides by `share` of the scene's diagonal a frame, for a
-    /// thousand frames: the camera to its right, lights and occluder along x.
+    /// Only `moving` moves. What has to be made to move slides by `share` of the scene's diagonal a
+    /// frame, for a thousand frames: the camera to its right, lights and occluder along x.
     ///
     /// # Errors
     /// A usage error where the share is not in (0, 0.1].
@@ -94,7 +97,8 @@ pub(super) fn only(scene: &Scene, wanted: Moving, slide: Slide) -> Result<Scene>
     }
 }
 
-/// The scene with all but the wanted motion stopped at its start; `None` where the wanted motion is not its own.
+/// The scene with all but the wanted motion stopped at its start; `None` where the wanted motion is
+/// not its own.
 fn stopped_but(scene: &Scene, wanted: Moving) -> Option<Scene> {
     if !scene.moves() {
         return (wanted == Moving::Still).then(|| scene.clone());

@@ -1,5 +1,5 @@
-//! The picture that the others are compared with: read from a file, taken from the cache, or made with a
-//! technique until it is good enough.
+//! The picture that the others are compared with: read from a file, taken from the cache, or made
+//! with a technique until it is good enough.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -35,7 +35,8 @@ pub struct ReferenceSettings {
     pub file: Option<PathBuf>,
     /// Seconds after which the making of a reference ends; the noise that remains is stated.
     pub seconds: f64,
-    /// Folder in which references are kept; `None`: `$XDG_CACHE_HOME/afterimage` or `~/.cache/afterimage`.
+    /// Folder in which references are kept; `None`: `$XDG_CACHE_HOME/afterimage` or
+    /// `~/.cache/afterimage`.
     pub cache: Option<PathBuf>,
 }
 
@@ -67,8 +68,8 @@ pub struct SourcedReference {
     pub info: ReferenceInfo,
 }
 
-/// The reference for a session whose scene does not move, made with `technique`, with a pixel variance of
-/// at most `variance` unless the time is up first.
+/// The reference for a session whose scene does not move, made with `technique`, with a pixel
+/// variance of at most `variance` unless the time is up first.
 pub(super) fn obtain(
     session: &Session,
     settings: &ReferenceSettings,
@@ -106,10 +107,14 @@ pub(super) fn obtain(
         let mut stored_at = begin;
         let limit = Duration::from_secs_f64(settings.seconds.min(1e6));
         let progress = session.host().begin("reference", 1);
-        // Frames of one session have consecutive numbers under one seed, and no two sessions start after equally many frames.
+        // Frames of one session have consecutive numbers under one seed, and no two sessions start
+        // after equally many frames.
         let first = reference.frames() as u32;
-        let mut frames =
-            session.start_reference(technique, EFFORT, seed(SEED, SeedUse::Reference, 0, first))?;
+        let mut frames = session.start_reference(
+            technique,
+            EFFORT as f32,
+            seed(SEED, SeedUse::Reference, 0, first),
+        )?;
         while !good(&reference, variance) {
             let frame = match session.next(&mut frames) {
                 Ok(frame) => frame,
@@ -159,16 +164,17 @@ fn good(reference: &Reference, variance: f64) -> bool {
     reference.frames() >= FEWEST_FRAMES && reference.variance().is_some_and(|v| v <= variance)
 }
 
-/// Whether fresh frames have the stored reference's means: a renderer that changed under an unchanged version is found so.
+/// Whether fresh frames have the stored reference's means: a renderer that changed under an
+/// unchanged version is found so.
 ///
-/// α = 10⁻⁶ in all. Student's t with 31 degrees of freedom exceeds 6.8 with probability 10⁻⁷, so 32 frames of 256² pixels with
-/// c = σ/μ = 1 show a change of 0.5 % of the whole picture.
+/// α = 10⁻⁶ in all. Student's t with 31 degrees of freedom exceeds 6.8 with probability 10⁻⁷, so 32
+/// frames of 256² pixels with c = σ/μ = 1 show a change of 0.5 % of the whole picture.
 fn agrees(
     session: &Session,
     technique: &Arc<dyn Technique>,
     reference: &Reference,
 ) -> Result<bool> {
-    let mut frames = session.start_reference(technique, 1, seed(SEED, SeedUse::Check, 0, 0))?;
+    let mut frames = session.start_reference(technique, 1.0, seed(SEED, SeedUse::Check, 0, 0))?;
     let mut fresh = bias::restarts(session.shot.size)?;
     for _ in 0..CHECK_FRAMES {
         fresh.push(&session.next(&mut frames)?.picture().pixels)?;
@@ -178,7 +184,8 @@ fn agrees(
     Ok(bias::judge(&fresh, reference, &criteria)?.verdict != Verdict::Fail)
 }
 
-/// Reflected light of a picture that may hold emission: what the file tells apart, else what this scene emits.
+/// Reflected light of a picture that may hold emission: what the file tells apart, else what this
+/// scene emits.
 fn from_file(session: &Session, path: &Path) -> Result<SourcedReference> {
     let file = read_exr(path)?;
     let size = [file.picture.width, file.picture.height];
@@ -220,7 +227,8 @@ fn from_file(session: &Session, path: &Path) -> Result<SourcedReference> {
     Ok(SourcedReference { reference: Reference::from_picture(&picture), info })
 }
 
-/// Directly visible emission: one frame is exact with point sampling; with a box filter it is averaged.
+/// Directly visible emission: one frame is exact with point sampling; with a box filter it is
+/// averaged.
 fn seen_emission(session: &Session) -> Result<Picture> {
     let count = if session.shot.filter == Filter::Point { 1 } else { 256 };
     let technique = session::technique("bsdf")?;

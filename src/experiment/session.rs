@@ -21,7 +21,8 @@ use crate::{Error, Result};
 pub struct SessionSettings {
     /// Width and height in pixels; `None`: the film's shape, its longer side 256.
     pub size: Option<[u32; 2]>,
-    /// Path segments from the camera, 1 being emission that is seen directly; `None`: the scene's, at most 8.
+    /// Path segments from the camera, 1 being emission that is seen directly; `None`: the scene's,
+    /// at most 8.
     pub depth: Option<u32>,
     /// Positions of primary rays.
     pub filter: Filter,
@@ -38,8 +39,8 @@ pub struct SessionSettings {
 }
 
 impl Default for SessionSettings {
-    /// 256 pixels across, the scene's depth, the point filter, 30 frames a second, seed 1, on the CPU, and the
-    /// scene as it is.
+    /// 256 pixels across, the scene's depth, the point filter, 30 frames a second, seed 1, on the
+    /// CPU, and the scene as it is.
     fn default() -> Self {
         Self {
             size: None,
@@ -70,8 +71,8 @@ pub struct Session {
     host: Arc<dyn Host>,
 }
 
-/// Reads a scene file, or makes the scene that a generator's name stands for. The host is told of the
-/// loader's warnings.
+/// Reads a scene file, or makes the scene that a generator's name stands for. The host is told of
+/// the loader's warnings.
 ///
 /// # Errors
 /// A file that cannot be read or holds no scene; a generator that does not exist.
@@ -170,15 +171,15 @@ impl Session {
         technique.plan(self.stage.facts(), &self.shot)
     }
 
-    /// A technique before its first frame. The host is told where it runs on the CPU although a graphics
-    /// processor was chosen.
+    /// A technique before its first frame. The host is told where it runs on the CPU although a
+    /// graphics processor was chosen.
     ///
     /// # Errors
     /// As [`FrameLoop::with_backend`].
     pub fn start(
         &self,
         technique: &Arc<dyn Technique>,
-        effort: u32,
+        effort: f32,
         seed: u64,
     ) -> Result<FrameLoop> {
         let shot = Shot { effort: effort as f32, run: seed, ..self.shot };
@@ -192,11 +193,12 @@ impl Session {
         Ok(frames)
     }
 
-    /// As [`Session::start`], on the CPU whatever runs the frames: for references, which all backends share.
+    /// As [`Session::start`], on the CPU whatever runs the frames: for references, which all
+    /// backends share.
     pub(super) fn start_reference(
         &self,
         technique: &Arc<dyn Technique>,
-        effort: u32,
+        effort: f32,
         seed: u64,
     ) -> Result<FrameLoop> {
         let shot = Shot { effort: effort as f32, run: seed, ..self.shot };

@@ -23,13 +23,14 @@ impl Moving {
     }
 }
 
-/// A rung of a technique's ladder: parameters, and what moves. Each rung adds one part to those before, as
-/// far as a line can, so that the first rung that fails names the part that is wrong.
+/// A rung of a technique's ladder: parameters, and what moves. Each rung adds one part to those
+/// before, as far as a line can, so that the first rung that fails names the part that is wrong.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Rung {
     /// For people, and to choose it by.
     pub name: &'static str,
-    /// Parameters as in a SPEC, `key=value,key=value`. They win over those of the SPEC that is tested.
+    /// Parameters as in a SPEC, `key=value,key=value`. They win over those of the SPEC that is
+    /// tested.
     pub keys: &'static str,
     /// What moves in the scenes that it stands on.
     pub moving: Moving,

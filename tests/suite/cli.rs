@@ -198,7 +198,7 @@ fn compare_writes_what_it_promises_and_uses_its_cache() {
     assert!(results.command.starts_with("afterimage compare ") && !results.interrupted);
     assert_eq!(results.rows.len(), afterimage::techniques::REGISTRY.len());
     for row in &results.rows {
-        assert_eq!((row.frames, row.restarts, row.budget.effort, row.non_finite), (2, 3, 1, 0));
+        assert_eq!((row.frames, row.restarts, row.budget.effort, row.non_finite), (2, 3, 1.0, 0));
         assert!(
             row.ms_per_frame.median > 0.0 && row.ms_per_frame.first > 0.0 && !row.passes.is_empty()
         );
@@ -241,6 +241,33 @@ fn compare_writes_what_it_promises_and_uses_its_cache() {
     let third = place.run(&line.replace("first", "third")).done();
     assert!(third.err.contains("checksum") && third.err.contains("made anew"), "{third:?}");
     assert_eq!(place.results("third").reference.source, "made");
+}
+
+#[test]
+fn frame_times_have_intervals_and_are_measured_again() {
+    let place = Place::new("times");
+    let line = format!(
+        "compare {} --size 24x24 --depth 2 --frames 3 --restarts 4 --curve-restarts 1 --reference-time 2 --techniques nee;restir-di",
+        cornell()
+    );
+    let ran = place.run(&format!("{line} --frame-time 6 --out timed")).done();
+    assert!(ran.out.contains(" ± "), "{}", ran.out);
+    let results = place.results("timed");
+    assert_eq!(results.rows.iter().map(|row| row.whole_effort).collect::<Vec<_>>(), [false, true]);
+    for row in &results.rows {
+        let time = &row.ms_per_frame;
+        let [low, high] = time.ci.unwrap();
+        assert!(low < high && time.calibrated.unwrap() > 0.0 && time.recalibrated.unwrap() > 0.0);
+        assert!(!(row.whole_effort && row.budget.over_budget), "{row:?}");
+    }
+    let csv = std::fs::read_to_string(place.path("timed/table.csv")).unwrap();
+    assert!(csv.starts_with("technique,") && csv.contains(",ms_median,ms_low,ms_high,"), "{csv}");
+    // With a number of estimates there is no time to keep, so none is measured again.
+    place.run(&format!("{line} --spp 1 --out counted")).done();
+    for row in &place.results("counted").rows {
+        assert_eq!((row.ms_per_frame.calibrated, row.ms_per_frame.drift()), (None, None));
+        assert!(row.ms_per_frame.ci.is_some());
+    }
 }
 
 #[test]

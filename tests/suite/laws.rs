@@ -1,5 +1,5 @@
-//! The laws in the documentation of `Technique`, for every entry of the registry. Each is a function of any entries, so that
-//! `outside` holds a technique to them that is not registered.
+//! The laws in the documentation of `Technique`, for every entry of the registry. Each is a
+//! function of any entries, so that `outside` holds a technique to them that is not registered.
 //!
 //! The third, that means agree with claims, is what `oracles` tests for unbiased ones; here a
 //! biased one must be what it says.
@@ -117,7 +117,8 @@ fn counters_stay_within_the_plan_and_buffers_within_reason() {
     check_counters(REGISTRY);
 }
 
-/// No frame uses more rays than the plan says, rejects a weight or makes an estimate that is not finite.
+/// No frame uses more rays than the plan says, rejects a weight or makes an estimate that is not
+/// finite.
 pub(crate) fn check_counters(entries: &[Entry]) {
     for scene in scenes() {
         let stage = Stage::new(scene).unwrap();
@@ -256,7 +257,8 @@ fn how_the_picture_is_cut_into_bands_changes_no_bit() {
     check_bands(REGISTRY, &["restir-di:tiles=on,boiling=0.5"]);
 }
 
-/// Bands of any height, in any order, give the same picture; `more` are SPECs beside the entries' names.
+/// Bands of any height, in any order, give the same picture; `more` are SPECs beside the entries'
+/// names.
 pub(crate) fn check_bands(entries: &[Entry], more: &[&str]) {
     for scene in scenes() {
         let stage = Stage::new(scene).unwrap();
@@ -345,7 +347,8 @@ fn a_fraction_of_effort_gives_some_pixels_one_estimate_more() {
             }
         }
         assert!(control < 40, "{spec}: a wrong mean is not told from a right one {control} times");
-        // A binomial of 60 with p = 0.4 has a standard deviation of 3.8: beyond 5 of them lies 10⁻⁶.
+        // A binomial of 60 with p = 0.4 has a standard deviation of 3.8: beyond 5 of them lies
+        // 10⁻⁶.
         let often: Vec<u32> = thirds.iter().copied().filter(|count| *count > 0).collect();
         assert!(often.len() > pixels / 2, "{spec}: hardly any pixel tells two from three");
         assert!(often.iter().all(|count| *count <= 24 + 19), "{spec}: {often:?}");

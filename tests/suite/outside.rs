@@ -1,4 +1,5 @@
-//! A technique that is not registered, made of public items only: can all that is done with registered ones be done with it?
+//! A technique that is not registered, made of public items only: can all that is done with
+//! registered ones be done with it?
 
 use std::sync::Arc;
 
@@ -202,7 +203,7 @@ fn reference(test: &str) -> ReferenceSettings {
 fn ladder(entry: &Entry, test: &str) -> LadderOutcome {
     let trial = Trial {
         ages: Ages::Given(vec![1, 2]),
-        effort: 4,
+        effort: 4.0,
         delta: 0.04,
         reference: reference(test),
         ..Trial::quick()

@@ -23,10 +23,16 @@ pub(super) struct Contender {
     pub(super) spec: String,
     pub(super) technique: Arc<dyn Technique>,
     pub(super) number: u32,
-    pub(super) effort: u32,
+    pub(super) effort: f32,
     pub(super) frames: FrameLoop,
     pub(super) steady: Vec<f64>,
     pub(super) first: Vec<f64>,
+    /// Each restart's median steady frame.
+    pub(super) medians: Moments,
+    /// Median steady frame before the first restart and after the last one, where there is a frame
+    /// time to keep.
+    pub(super) calibrated: Option<f64>,
+    pub(super) recalibrated: Option<f64>,
     pub(super) passes: Vec<(&'static str, Vec<f64>)>,
     pub(super) work: Counters,
     pub(super) work_frames: u64,
@@ -47,7 +53,7 @@ impl Contender {
         session: &Session,
         technique: &Arc<dyn Technique>,
         number: u32,
-        effort: u32,
+        effort: f32,
     ) -> Result<Self> {
         Ok(Self {
             spec: technique.spec(),
@@ -57,6 +63,9 @@ impl Contender {
             frames: session.start(technique, effort, 0)?,
             steady: Vec::new(),
             first: Vec::new(),
+            medians: Moments::new(),
+            calibrated: None,
+            recalibrated: None,
             passes: Vec::new(),
             work: Counters::default(),
             work_frames: 0,
@@ -88,8 +97,8 @@ impl Contender {
         median_p99(self.times())[0]
     }
 
-    /// Frames that a picture of the judged quality takes where no time is measured: without history, all
-    /// frames are alike.
+    /// Frames that a picture of the judged quality takes where no time is measured: without
+    /// history, all frames are alike.
     fn needed_frames(&self, judged: JudgedFrames) -> u32 {
         if judged.accumulate || self.frames.plan().keeps_history() { judged.frames } else { 1 }
     }
@@ -106,6 +115,7 @@ impl Contender {
         let (warmup, emission) = (&mut self.warmup, &mut self.emission);
         frames.restart(seed(session.shot.run, SeedUse::Restart, *number, index));
         let mut compared = Ok(());
+        let (first_before, steady_before) = (first.len(), steady.len());
         let picture = judged_picture(session, frames, judged, |at, frame| {
             if let Some(moments) = warmup.get_mut(at as usize) {
                 match figures::relmse(&frame.picture(), truth) {
@@ -115,8 +125,8 @@ impl Contender {
             }
             let times = if at == 0 { &mut *first } else { &mut *steady };
             times.push(frame.milliseconds());
-            // Passes that run in the first frame only are no part of a steady frame, unless there is no
-            // other.
+            // Passes that run in the first frame only are no part of a steady frame, unless there
+            // is no other.
             if at > 0 || judged.frames == 1 {
                 *work = *work + frame.counters;
                 *work_frames += 1;
@@ -127,6 +137,10 @@ impl Contender {
             }
         })?;
         compared?;
+        // A restart of a single frame has no steady one.
+        let own = &steady[steady_before..];
+        let own = if own.is_empty() { &first[first_before..] } else { own };
+        self.medians.push(median_p99(own)[0]);
         Ok(picture)
     }
 
@@ -156,8 +170,8 @@ impl Contender {
     }
 }
 
-/// The smallest variance of a pixel among techniques: a lower bound of their mean squared errors, found
-/// without a reference.
+/// The smallest variance of a pixel among techniques: a lower bound of their mean squared errors,
+/// found without a reference.
 pub(super) fn pilot(
     session: &Session,
     contenders: &mut [Contender],
@@ -177,7 +191,8 @@ pub(super) fn pilot(
             progress.step();
         }
         let variance = bias::mean_variance(&restarts, session.shot.pixels());
-        // A picture without any noise (black, or emission only) says nothing about what the reference needs.
+        // A picture without any noise (black, or emission only) says nothing about what the
+        // reference needs.
         if variance > 0.0 {
             smallest = smallest.min(variance);
         }
@@ -222,8 +237,8 @@ impl Comparison {
         for index in 0..self.restarts {
             for contender in contenders.iter_mut() {
                 progress.say(&contender.spec);
-                // Without history and motion all frames have one law: a first and a steady one give picture
-                // and times.
+                // Without history and motion all frames have one law: a first and a steady one give
+                // picture and times.
                 let all = moves || !contender.warmup.is_empty();
                 let needed =
                     if all { judged.frames } else { contender.needed_frames(judged).max(2) };

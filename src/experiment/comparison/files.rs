@@ -20,8 +20,8 @@ pub(crate) fn file_name(text: &str) -> String {
 }
 
 impl Compared {
-    /// Writes everything to `folder`: results.json, tables, curves, plots, and pictures as EXR and PNG.
-    /// Pictures show directly visible emission too; error maps and metrics leave it out.
+    /// Writes everything to `folder`: results.json, tables, curves, plots, and pictures as EXR and
+    /// PNG. Pictures show directly visible emission too; error maps and metrics leave it out.
     ///
     /// # Errors
     /// Where the operating system refuses to write.
@@ -104,8 +104,8 @@ pub(crate) fn guide_layers(guides: &Guides) -> Vec<Layer> {
     ]
 }
 
-/// Writes one picture as EXR, emission in a layer of its own, and as PNG. `path` is without its extension,
-/// and may have dots.
+/// Writes one picture as EXR, emission in a layer of its own, and as PNG. `path` is without its
+/// extension, and may have dots.
 fn save(path: &Path, light: Light<'_>, more: &[Layer], tone: ToneMap) -> Result<()> {
     let all = sum(light.reflected, light.emission);
     let mut layers = vec![Layer::rgb("color", &all)];

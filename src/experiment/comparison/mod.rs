@@ -1,11 +1,15 @@
-//! Techniques at equal frame time or equal effort, over independent restarts, against one reference.
+//! Techniques at equal frame time or equal effort, over independent restarts, against one
+//! reference.
 //!
-//! 1. Effort: integer efforts are calibrated to the frame time, or given.
-//! 2. Pilot: a few restarts estimate how much each technique varies, from which follows how good the
-//!    reference must be.
+//! 1. Effort: efforts are calibrated to the frame time, all techniques by turns, or given.
+//! 2. Pilot: a few restarts estimate how much each technique varies, from which follows how good
+//!    the reference must be.
 //! 3. Reference: see [`super::reference`].
-//! 4. Restarts, interleaved over techniques, so that a change of the machine's speed meets all alike.
+//! 4. Restarts, interleaved over techniques, so that a change of the machine's speed meets all
+//!    alike.
 //! 5. Curve: the same at other efforts, with fewer restarts.
+//! 6. Calibration again: a technique whose frames take another time than before the restarts says
+//!    so.
 
 mod budget;
 mod contender;
@@ -22,7 +26,7 @@ use super::{figures, machine};
 use crate::frame::Guides;
 use crate::picture::Picture;
 use crate::plan::Filter;
-use crate::report::{Results, SCHEMA, Warmup};
+use crate::report::{BudgetKind, Results, SCHEMA, Warmup};
 use crate::techniques::Technique;
 use crate::{Error, Result};
 
@@ -32,8 +36,8 @@ pub(crate) use self::{
     row::claim,
 };
 
-/// A reference's variance over the smallest mse, unless its time is up first (Celarek et al. 2019 on noisy
-/// references).
+/// A reference's variance over the smallest mse, unless its time is up first (Celarek et al. 2019
+/// on noisy references).
 const REFERENCE_SHARE: f64 = 0.01;
 
 /// What a technique may spend on a frame.
@@ -52,8 +56,8 @@ pub enum Spending {
 pub struct Comparison {
     /// What each technique may spend on a frame.
     pub spending: Spending,
-    /// Number of the frame after a cold start that is judged, at least 1. Of a technique without history, in
-    /// a still scene, it is the second at most: all have one law.
+    /// Number of the frame after a cold start that is judged, at least 1. Of a technique without
+    /// history, in a still scene, it is the second at most: all have one law.
     pub frames: u32,
     /// Whether the mean of all frames is judged instead of the last.
     pub accumulate: bool,
@@ -61,7 +65,8 @@ pub struct Comparison {
     pub restarts: u32,
     /// Restarts of each further point of the error-against-time curve; 0 leaves the curve out.
     pub curve_restarts: u32,
-    /// Whether the error of every frame is found for all techniques, not just for those with history.
+    /// Whether the error of every frame is found for all techniques, not just for those with
+    /// history.
     pub warmup: bool,
     /// Where the reference comes from.
     pub reference: ReferenceSettings,
@@ -114,12 +119,12 @@ struct JudgedFrames {
 }
 
 impl Comparison {
-    /// Compares techniques. A host that stops the work while restarts are rendered gets what was done, marked
-    /// as [`interrupted`](Results::interrupted).
+    /// Compares techniques. A host that stops the work while restarts are rendered gets what was
+    /// done, marked as [`interrupted`](Results::interrupted).
     ///
     /// # Errors
-    /// An interruption before every technique has a restart; no technique; a warm-up or a mean over frames of
-    /// a scene that moves; whatever a loop or a reference refuses.
+    /// An interruption before every technique has a restart; no technique; a warm-up or a mean over
+    /// frames of a scene that moves; whatever a loop or a reference refuses.
     pub fn run(&self, session: &Session, techniques: &[Arc<dyn Technique>]) -> Result<Compared> {
         self.refuse(session, techniques)?;
         let judged = JudgedFrames { frames: self.frames, accumulate: self.accumulate };
@@ -130,9 +135,15 @@ impl Comparison {
         for (at, technique) in techniques.iter().enumerate() {
             contenders.push(Contender::new(session, technique, at as u32, budget.efforts[at])?);
         }
+        let timed = budget.kind == BudgetKind::FrameTime;
+        if timed {
+            let times = budget::times(session, &mut contenders)?;
+            contenders.iter_mut().zip(times).for_each(|(c, ms)| c.calibrated = Some(ms));
+        }
         let variance = contender::pilot(session, &mut contenders, judged)?;
 
-        // The curve's longest frames are four times as long, so their error is as many times smaller.
+        // The curve's longest frames are four times as long, so their error is as many times
+        // smaller.
         let reach = if self.curve_restarts > 0 { 4.0 } else { 1.0 };
         let frozen = session.frozen(self.frames - 1)?;
         let made = reference::obtain(
@@ -159,6 +170,15 @@ impl Comparison {
         if !interrupted && self.curve_restarts > 0 {
             match self.curves(session, &contenders, judged, &truth) {
                 Ok(found) => curves = found,
+                Err(error) if error.is_interrupted() => interrupted = true,
+                Err(error) => return Err(error),
+            }
+        }
+        if !interrupted && timed {
+            match budget::times(session, &mut contenders) {
+                Ok(times) => {
+                    contenders.iter_mut().zip(times).for_each(|(c, ms)| c.recalibrated = Some(ms));
+                }
                 Err(error) if error.is_interrupted() => interrupted = true,
                 Err(error) => return Err(error),
             }

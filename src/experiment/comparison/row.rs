@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::JudgedFrames;
-use super::budget::Settled;
+use super::budget::{Settled, has_whole_efforts};
 use super::contender::Contender;
 use crate::Result;
 use crate::experiment::calibrate::{median_p99, meets};
@@ -45,13 +45,23 @@ impl Contender {
                 kind: budget.kind,
                 value: budget.value,
                 effort: self.effort,
-                over_budget: budget.kind == BudgetKind::FrameTime && !meets(median, budget.value),
+                over_budget: budget.kind == BudgetKind::FrameTime
+                    && !has_whole_efforts(plan)
+                    && !meets(median, budget.value),
             },
+            whole_effort: has_whole_efforts(plan),
             claim: claim(&plan.claim),
             backend: if self.frames.runs_on().is_some() { "gpu" } else { "cpu" }.to_string(),
             frames: judged.frames,
             restarts: self.restarts.count() as u32,
-            ms_per_frame: FrameTime { median, p99, first: median_p99(&self.first)[0] },
+            ms_per_frame: FrameTime {
+                median,
+                p99,
+                first: median_p99(&self.first)[0],
+                ci: figures::over_restarts(&self.medians).ci,
+                calibrated: self.calibrated,
+                recalibrated: self.recalibrated,
+            },
             rays_per_pixel,
             bytes_per_pixel: plan.bytes_per_pixel(pixels),
             passes: self

@@ -1,17 +1,17 @@
 //! One technique on one scene against a reference: how many restarts, two stages, a verdict.
 //!
-//! 1. A pilot of [`PILOT`] restarts says how long a frame takes and how much the means vary; where time
-//!    allows, a longer one, up to [`LONG_PILOT`], says it better. From that follows how many restarts the
-//!    first stage needs at each age: young frames vary most and cost least, so most restarts end early.
-//!    Pilots are never tested, so this choice costs nothing of any α.
-//! 2. First stage. All parts ([`crate::stats::agreement`]) of all ages are judged together. A pass ends the
-//!    trial.
-//! 3. Otherwise the second stage decides: fresh seeds, four times as many restarts. It comes first where
-//!    time allows less than half of what the first stage needs.
+//! 1. A pilot of [`PILOT`] restarts says how long a frame takes and how much the means vary; where
+//!    time allows, a longer one, up to [`LONG_PILOT`], says it better. From that follows how many
+//!    restarts the first stage needs at each age: young frames vary most and cost least, so most
+//!    restarts end early. Pilots are never tested, so this choice costs nothing of any α.
+//! 2. First stage. All parts ([`crate::stats::agreement`]) of all ages are judged together. A pass
+//!    ends the trial.
+//! 3. Otherwise the second stage decides: fresh seeds, four times as many restarts. It comes first
+//!    where time allows less than half of what the first stage needs.
 //!
-//! Levels: a wrong picture has two chances to pass, so each stage tests equivalence at α/2 = 5·10⁻⁴. Nothing
-//! fails but by the second stage at 10⁻⁴ (Holm), whatever the first one said: both share the reference's
-//! error, so their levels must not be multiplied.
+//! Levels: a wrong picture has two chances to pass, so each stage tests equivalence at α/2 =
+//! 5·10⁻⁴. Nothing fails but by the second stage at 10⁻⁴ (Holm), whatever the first one said: both
+//! share the reference's error, so their levels must not be multiplied.
 
 mod counts;
 mod outcome;
@@ -37,15 +37,16 @@ use crate::techniques::Technique;
 pub use self::outcome::{AgeOutcome, StageOutcome, TrialOutcome};
 pub use self::pool::ReferencePool;
 
-/// Restarts of the pilots, at least and at most: rare bright ones say most of how much the means vary.
+/// Restarts of the pilots, at least and at most: rare bright ones say most of how much the means
+/// vary.
 const PILOT: u32 = 8;
 const LONG_PILOT: u32 = 64;
 /// Share of a trial's time that the long pilot may take.
 const PILOT_SHARE: f64 = 0.05;
 /// Level at which the first stage calls a difference certain, which only the second may confirm.
 const SCREEN_ALPHA: f64 = 1e-2;
-/// Standard error of a part over restarts that passes almost surely, in margins: with the reference's 0.1
-/// the margin is then 6.3 standard errors, of which the test at 5·10⁻⁴ takes 3.3.
+/// Standard error of a part over restarts that passes almost surely, in margins: with the
+/// reference's 0.1 the margin is then 6.3 standard errors, of which the test at 5·10⁻⁴ takes 3.3.
 const RESTART_ERROR: f64 = 0.12;
 
 /// Frames after a cold start that are judged, rising.
@@ -53,7 +54,8 @@ const RESTART_ERROR: f64 = 0.12;
 pub enum Ages {
     /// Exactly these.
     Given(Vec<u32>),
-    /// Those of these that can differ: frame 1 alone where a technique keeps no history and nothing moves.
+    /// Those of these that can differ: frame 1 alone where a technique keeps no history and nothing
+    /// moves.
     Distinct(Vec<u32>),
 }
 
@@ -83,8 +85,9 @@ impl Ages {
 pub struct Trial {
     /// Which frames are judged.
     pub ages: Ages,
-    /// Complete independent estimates a pixel and frame.
-    pub effort: u32,
+    /// Complete independent estimates a pixel and frame
+    /// ([`Shot::effort`](crate::plan::Shot::effort)).
+    pub effort: f32,
     /// Bias of the image that passes, as a share of its mean; tiles may have twice as much.
     pub delta: f64,
     /// Restarts of the first stage; `None`: as many as a pilot says.
@@ -110,7 +113,7 @@ impl Default for Trial {
     fn default() -> Self {
         Self {
             ages: Ages::Distinct(vec![1, 2, 5, 20, 50]),
-            effort: 1,
+            effort: 1.0,
             delta: 0.005,
             restarts: None,
             most: 1 << 15,
@@ -142,8 +145,8 @@ impl Trial {
         }
     }
 
-    /// Runs the trial; `shown` gets every stage as soon as it is judged, with the references of its ages (one
-    /// for all where nothing moves).
+    /// Runs the trial; `shown` gets every stage as soon as it is judged, with the references of its
+    /// ages (one for all where nothing moves).
     ///
     /// # Errors
     /// An interruption; whatever a loop, a reference or `shown` refuses.
@@ -219,8 +222,8 @@ impl Running<'_> {
         Ok((found, begin.elapsed().as_secs_f64() / counts.frames(&self.ages) as f64))
     }
 
-    /// Restarts for which [`PILOT_SHARE`] of the time is enough, at most [`LONG_PILOT`]; none where their
-    /// number is given.
+    /// Restarts for which [`PILOT_SHARE`] of the time is enough, at most [`LONG_PILOT`]; none where
+    /// their number is given.
     fn long_pilot(&self, a_frame: f64) -> u32 {
         if self.trial.restarts.is_some() {
             return 0;

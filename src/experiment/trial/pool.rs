@@ -22,8 +22,8 @@ pub struct ReferencePool {
 }
 
 impl ReferencePool {
-    /// The reference for a session, whose every part is to be known to [`REFERENCE_ERROR`]. `like` has the
-    /// parts.
+    /// The reference for a session, whose every part is to be known to [`REFERENCE_ERROR`]. `like`
+    /// has the parts.
     pub(super) fn obtain(
         &mut self,
         session: &Session,

@@ -11,16 +11,16 @@ use crate::frame::FrameLoop;
 use crate::picture::Picture;
 use crate::stats::Restarts;
 
-/// Pixels up to which each thread renders restarts of its own. Threads that share a frame wait for each
-/// other after every pass: with 64 × 64 pixels two of them made a seventh fewer restarts than on their own;
-/// larger pictures have tasks enough, and a loop a thread would fill the caches.
+/// Pixels up to which each thread renders restarts of its own. Threads that share a frame wait for
+/// each other after every pass: with 64 × 64 pixels two of them made a seventh fewer restarts than
+/// on their own; larger pictures have tasks enough, and a loop a thread would fill the caches.
 const PIXELS_APART: usize = 1 << 15;
 /// Bytes of pictures that may wait to be counted.
 const WAITING: usize = 1 << 26;
 
 impl Running<'_> {
-    /// Renders restarts and looks at them at every age that they reach. They are counted in the order of
-    /// their numbers, so that sums are the same for any number of threads.
+    /// Renders restarts and looks at them at every age that they reach. They are counted in the
+    /// order of their numbers, so that sums are the same for any number of threads.
     pub(super) fn restarts(&self, seeds: SeedUse, counts: &Counts) -> Result<Vec<Restarts>> {
         let Self { session, technique, trial, ages, .. } = self;
         let total = counts.0[0];
@@ -46,8 +46,8 @@ impl Running<'_> {
         let stride = loops.len();
         while next < total {
             let batch = next..total.min(next + (each * stride) as u32);
-            // Restart i belongs to loop i modulo their number: fewer and fewer reach the later ages, so
-            // neighbours take the same time.
+            // Restart i belongs to loop i modulo their number: fewer and fewer reach the later
+            // ages, so neighbours take the same time.
             let rendered = loops
                 .par_iter_mut()
                 .enumerate()

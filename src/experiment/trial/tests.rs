@@ -16,7 +16,8 @@ use crate::techniques::Moving;
 
 const SIZE: [u32; 2] = [16, 16];
 
-/// Grey pixels uniform in [0, 2) times `gain` in the upper left tile: c = 0.58, 7.2 % in a tile of 64 pixels.
+/// Grey pixels uniform in [0, 2) times `gain` in the upper left tile: c = 0.58, 7.2 % in a tile of
+/// 64 pixels.
 fn picture(key: u32, gain: f32) -> Picture {
     let pixels = (0..256)
         .map(|at| {
@@ -46,7 +47,8 @@ fn reference() -> Reference {
 
 #[test]
 fn one_bad_age_fails_the_trial_and_is_named_the_worst() {
-    // 3000 restarts: standard error of a tile 0.13 % and as much of the reference; its margin is 2 %.
+    // 3000 restarts: standard error of a tile 0.13 % and as much of the reference; its margin is 2
+    // %.
     let reference = reference();
     let tolerance = Tolerance::of(0.01);
     let outcome = |gain: f32, count: u32| {
@@ -72,7 +74,8 @@ fn the_pilot_asks_for_more_restarts_where_less_is_known() {
     let reference = reference();
     let ask =
         |delta: f64| needed(&[sample(PILOT, 50_000, 1.0)], |_| &reference, delta).unwrap().0[0];
-    // A tile varies by 7.2 % a restart: (7.2 / (0.12 · 2))² = 900, the largest of five estimates from eight restarts.
+    // A tile varies by 7.2 % a restart: (7.2 / (0.12 · 2))² = 900, the largest of five estimates
+    // from eight restarts.
     assert!((500..4000).contains(&ask(0.01)), "{}", ask(0.01));
     let ratio = f64::from(ask(0.005)) / f64::from(ask(0.01));
     assert!((3.9..4.1).contains(&ratio), "{ratio}");
@@ -137,7 +140,7 @@ fn moving_light(technique: &Arc<dyn Technique>) -> TrialOutcome {
     let cache = std::env::temp_dir().join(format!("afterimage-trial-{}", std::process::id()));
     let trial = Trial {
         ages: Ages::Given(vec![1, 3]),
-        effort: 4,
+        effort: 4.0,
         delta: 0.05,
         most: 1000,
         seconds: f64::INFINITY,

@@ -1,4 +1,5 @@
-//! How `restir-di` is tested part by part, and the combinations of parameters that tests run through.
+//! How `restir-di` is tested part by part, and the combinations of parameters that tests run
+//! through.
 
 use crate::resampling::Family;
 use crate::reuse::Visibility;
