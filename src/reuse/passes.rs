@@ -125,6 +125,12 @@ impl Round {
     }
 }
 
+/// Frames of history from which a pixel takes nothing from its neighbours; 0: every pixel takes.
+/// History grows old where anything moves, so there every pixel takes.
+pub(crate) fn mature(settings: &Settings, still: bool) -> u32 {
+    if still { settings.mature } else { 0 }
+}
+
 /// What the previous frame left: a buffer of its own where the spatial result is kept, else the
 /// reservoirs' other half.
 pub(super) fn history<'f, R: StoredReservoir>(inputs: &'f FrameInputs<'_>) -> &'f [R] {
@@ -253,6 +259,9 @@ pub(crate) fn add<R: StoredReservoir, P: Policy>(
         let pass = NewPass::pixels("shade", kernel::SHADE, vec![Plan::RADIANCE]);
         plan.pass(pass.rays(0, count(P::SHADES_BY_RAY), 0));
         return;
+    }
+    if temporal && mature(settings, still) > 0 {
+        plan.skip("neighbours of pixels with history enough (`mature`)", "nothing moves");
     }
     for round in (0..rounds).map(|round| Round::new(settings, round)) {
         let mut writes: Vec<BufferId> = round.to.into_iter().flat_map(record).collect();

@@ -173,8 +173,8 @@ pub struct RestirDi {
     pub mis: Family,
     /// What becomes of the spatial result.
     pub spatial: SpatialUse,
-    /// Frames of history from which a pixel takes nothing from its neighbours, in [0, 250]; 0: every
-    /// pixel always takes.
+    /// Where nothing moves, frames of history from which a pixel takes nothing from its neighbours, in
+    /// [0, 250]; 0: every pixel always takes.
     pub mature: u32,
     /// What is done with shadow rays. Visibility in the target is the default: of all policies it had the least relmse times time on
     /// `penumbra` and `many-lights:1000` (`docs/results.md`).
@@ -211,11 +211,11 @@ impl Default for RestirDi {
             temporal_mis: Family::Balance,
             neighbours: 1,
             radius: 16.0,
-            taps: Taps::Random,
+            taps: Taps::Xor,
             rounds: 1,
             mis: Family::DefensivePairwise,
             spatial: SpatialUse::Feedback,
-            mature: 0,
+            mature: 8,
             visibility: Visibility::InTarget,
             visibility_age: REUSE_AGE,
             visibility_distance: REUSE_DISTANCE,
