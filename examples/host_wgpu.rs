@@ -66,22 +66,22 @@ fn is_visible(i: u32, place: vec3f) -> bool {
 
 // --- The host's half of the merge.
 struct Sample { lamp: u32 }
-struct Carried { visibility: f32, radiance: vec3f }
+struct Merge { pixels: array<u32, 9> }
 
-var<private> input_pixels: array<u32, 9>;
-
-fn input_finished(input: u32) -> Finished {
-    let k = kept[input_pixels[input]];
+fn input_finished(m: ptr<function, Merge>, input: u32) -> Finished {
+    let k = kept[(*m).pixels[input]];
     return Finished(Sample(k.lamp), k.weight, k.confidence);
 }
-fn input_target(input: u32) -> f32 { return kept[input_pixels[input]].target_luminance; }
+fn input_target(m: ptr<function, Merge>, input: u32) -> f32 {
+    return kept[(*m).pixels[input]].target_luminance;
+}
 fn target_of(integrand: vec3f) -> f32 { return dot(integrand, vec3f(0.2126, 0.7152, 0.0722)); }
 // A lamp stays the same lamp wherever it is seen from.
-fn shift(sample: Sample, origin: u32, destination: u32) -> Shifted {
-    let there = unshadowed(sample.lamp, floor_at(input_pixels[destination]));
+fn shift(m: ptr<function, Merge>, sample: Sample, origin: u32, destination: u32) -> Shifted {
+    let there = unshadowed(sample.lamp, floor_at((*m).pixels[destination]));
     return Shifted(sample, there, 1.0, target_of(there) > 0.0);
 }
-fn carry(term: Term) -> Carried { return Carried(1.0, vec3f(0.0)); }
+fn carry(m: ptr<function, Merge>, term: Term) -> Carried { return Carried(1.0, vec3f(0.0)); }
 
 @compute @workgroup_size(64)
 fn draw(@builtin(global_invocation_id) id: vec3<u32>) {
@@ -105,19 +105,20 @@ fn reuse(@builtin(global_invocation_id) id: vec3<u32>) {
     let pixel = id.x;
     if pixel >= SIZE * SIZE { return; }
     var random = stream_new(vec2<u32>(1u, 0u), pixel, frame.number, PURPOSE_NEIGHBOURS, 0u);
-    input_pixels[0] = pixel;
+    var m: Merge;
+    m.pixels[0] = pixel;
     var count = 0u;
     for (var n = 0u; n < NEIGHBOURS * frame.reuse; n++) {
         let at = vec2<i32>(i32(pixel % SIZE), i32(pixel / SIZE))
             + vec2<i32>(i32(stream_index(&random, 13u)) - 6, i32(stream_index(&random, 13u)) - 6);
         if all(at >= vec2<i32>(0)) && all(at < vec2<i32>(i32(SIZE))) {
             count += 1u;
-            input_pixels[count] = u32(at.y) * SIZE + u32(at.x);
+            m.pixels[count] = u32(at.y) * SIZE + u32(at.x);
         }
     }
     var r = reservoir_new();
     var selection = stream_new(vec2<u32>(1u, 0u), pixel, frame.number, PURPOSE_SELECTION, 1u);
-    let merged = merge(FAMILY_DEFENSIVE, count, &r, &selection);
+    let merged = merge(&m, FAMILY_DEFENSIVE, count, &r, &selection);
     var shown = vec3f(0.0);
     let place = floor_at(pixel);
     if merged.finished.weight > 0.0 && is_visible(merged.finished.sample.lamp, place) {

@@ -16,6 +16,7 @@
 //! | [`direct`] | direct light as a domain of reuse: light points, their shift, candidates, mutations, visibility policies |
 //! | [`resampling`] | the core of reuse, for any renderer: reservoirs, shift maps, MIS weights, merges, mutations, estimators |
 //! | [`plan`] | what a scene contains, and what a technique will therefore run and leave out |
+//! | [`twin`] | kernels for graphics processors as plain data |
 //! | [`techniques`] | the methods under comparison and their registry |
 //! | [`frame`] | the loop: time, buffers, history, passes; guides (albedo, normal, depth, motion) |
 //! | `gpu` | a graphics processor: adapters, kernels, the scene in its memory (feature `gpu`, on by default) |
@@ -95,6 +96,7 @@ pub mod spec;
 pub mod stats;
 pub mod surface;
 pub mod techniques;
+pub mod twin;
 pub mod world;
 
 pub use error::{Error, Result};

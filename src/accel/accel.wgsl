@@ -1,5 +1,6 @@
-// Twin of `accel`: the same trees and the same order of tests, in f32. What the CPU proves in f64 is here an error bound that a hit must exceed
-// (Pharr, Jakob, Humphreys 2023, section 6.8): a hit that cannot be told from the ray's own surface is none.
+// Twin of `accel`: the same trees and the same order of tests, in f32. What the CPU proves in f64
+// is here an error bound that a hit must exceed (Pharr, Jakob, Humphreys 2023, section 6.8): a hit
+// that cannot be told from the ray's own surface is none.
 
 struct Ray {
     origin: vec3f,
@@ -54,7 +55,8 @@ fn emitters_of_world(w: u32) -> Bottom {
     );
 }
 
-// Placements: rows to object space, rows to world space, (first shape, nodes, slots, cold), (flags, reach, ., .).
+// Placements: rows to object space, rows to world space, (first shape, nodes, slots, cold), (flags,
+// reach, ., .).
 const PLACEMENT: u32 = 8u;
 const IDENTITY: u32 = 4u;
 
@@ -175,7 +177,8 @@ fn spacing(e: u32) -> f32 {
     return bitcast<f32>((e & 255u) << 23u);
 }
 
-// The next leaf that the ray may hit before `limit`: a count in bits 29 and 30, the first primitive below; NONE at the end.
+// The next leaf that the ray may hit before `limit`: a count in bits 29 and 30, the first primitive
+// below; NONE at the end.
 fn next_leaf(it: ptr<function, Leaves>, ray: BoxRay, limit: f32, ordered: bool) -> u32 {
     loop {
         if (*it).top == (*it).base {
@@ -330,7 +333,8 @@ fn cross_triangle(slot: u32, ray: TriangleRay, limit: f32) -> Crossing {
     if !(t > 0.0 && t <= limit) {
         return NO_CROSSING;
     }
-    // u = 2^-24. A difference costs 1 u of itself, the shear 3 u of a product with a factor <= 1, the last difference 1 u.
+    // u = 2^-24. A difference costs 1 u of itself, the shear 3 u of a product with a factor <= 1,
+    // the last difference 1 u.
     const U: f32 = 0.5 * EPSILON;
     let most_z = max3(abs(z));
     let delta_z = U * most_z + ray.origin_error.z;
@@ -351,7 +355,8 @@ fn cross_triangle(slot: u32, ray: TriangleRay, limit: f32) -> Crossing {
     return Crossing(t, e.y * inverse, e.z * inverse, error);
 }
 
-// A hit's t and its uncertainty from a rounded direction, 2^-24 sum |n_i d_i| / |n.d|, and from the test, at or beyond the end.
+// A hit's t and its uncertainty from a rounded direction, 2^-24 sum |n_i d_i| / |n.d|, and from the
+// test, at or beyond the end.
 fn past_end(t: f32, error: f32, normal: vec3f, direction: vec3f, limit: f32) -> bool {
     let product = normal * direction;
     let relative = 0.5 * EPSILON * dot3(abs(product), vec3f(1.0)) / abs(product.x + product.y + product.z);
@@ -432,7 +437,8 @@ fn sphere_roots(center: vec3f, radius: f32, origin: vec3f, direction: vec3f, sma
     return vec2f(select(-1.0, near, near > smallest), select(-1.0, far, far > smallest));
 }
 
-// Roots nearer than this to 0 are not told from the origin's own surface: 2^-18 of what the quadratic's terms are made of, 32 times its roundings.
+// Roots nearer than this to 0 are not told from the origin's own surface: 2^-18 of what the
+// quadratic's terms are made of, 32 times its roundings.
 fn near_bound(o: vec3f, radius: f32, direction: vec3f, origin_error: vec3f) -> f32 {
     const BOUND: f32 = 1.0 / 262144.0;
     return (BOUND * (sqrt(dot3(o, o)) + radius) + 4.0 * max3(origin_error)) / sqrt(dot3(direction, direction));

@@ -34,6 +34,9 @@ pub(super) struct PlanArgs {
     /// Positions of primary rays
     #[arg(long, value_enum, default_value_t = FilterArg::Point)]
     filter: FilterArg,
+    /// Independent estimates a pixel and frame; of a technique that keeps reservoirs, chains of them
+    #[arg(long, value_name = "N", default_value_t = 1.0)]
+    spp: f32,
     /// Print JSON
     #[arg(long, conflicts_with = "measure")]
     json: bool,
@@ -45,7 +48,9 @@ pub(super) struct PlanArgs {
 
 pub(super) fn run(args: &PlanArgs) -> Result<Status> {
     let technique = technique(&args.technique)?;
-    let session = args.picture.open(&args.scene, args.filter, None)?;
+    let mut session = args.picture.open(&args.scene, args.filter, None)?;
+    session.shot.effort = args.spp;
+    session.shot.validate()?;
     let plan = session.plan(&*technique);
     let pixels = session.shot.pixels();
     let text = if args.json {

@@ -9,13 +9,14 @@ use glam::{Vec3, Vec4};
 use crate::counters::Counters;
 use crate::error::{Error, Result};
 use crate::gpu::{
-    CameraRecord, Gpu, Inputs, Kernel, Links, MAX_BUFFERS, ProjectionRecord, SceneBuffers,
-    SceneConstants,
+    CameraRecord, Gpu, Inputs, Kernel, Lanes, Links, MAX_BUFFERS, Origin, ProjectionRecord,
+    SceneBuffers, SceneConstants,
 };
 use crate::pass::Buffer;
-use crate::plan::{Domain, Elements, Filter, Kernel as PassKernel, Plan, Shot};
+use crate::plan::{Domain, Elements, Filter, Grid, Kernel as PassKernel, Plan, Shot};
 use crate::scene::CameraRays;
-use crate::techniques::{Technique, Twin};
+use crate::techniques::Technique;
+use crate::twin::{Module, Twin};
 use crate::world::Motion;
 use crate::world::World;
 
@@ -26,7 +27,7 @@ pub(super) const IN_FLIGHT: usize = 2;
 /// Alignment of what queries are written to.
 const RESOLVE: u64 = 256;
 /// The frame loop's own kernel.
-const PRIMARY_HITS: &str = include_str!("primary_hits.wgsl");
+const PRIMARY_HITS: Module = crate::wgsl!("primary_hits.wgsl");
 
 /// A scene's arenas: shared where nothing moves.
 #[derive(Debug)]
@@ -109,12 +110,7 @@ pub(super) struct FrameState<'a> {
 
 /// The twins of all passes; `None` where the technique lacks one.
 pub(crate) fn twins(technique: &dyn Technique, plan: &Plan) -> Option<Vec<Twin>> {
-    let own = || Twin {
-        entry: "primary_hits",
-        modules: vec![PRIMARY_HITS],
-        constants: Vec::new(),
-        flags: Vec::new(),
-    };
+    let own = || Twin { kernel: "primary_hits", modules: vec![PRIMARY_HITS], ..Twin::default() };
     plan.passes
         .iter()
         .map(|pass| match pass.kernel {
@@ -124,15 +120,18 @@ pub(crate) fn twins(technique: &dyn Technique, plan: &Plan) -> Option<Vec<Twin>>
         .collect()
 }
 
-/// Workgroups that cover a domain.
-fn groups(domain: Domain, size: [u32; 2]) -> [u32; 2] {
+/// What a pass's lanes own.
+pub(crate) fn lanes(domain: Domain) -> Lanes {
     match domain {
-        Domain::Pixels => size.map(|side| side.div_ceil(8)),
-        // Room for the largest origin that a grid may have.
-        Domain::Tiles { width, height, .. } => {
-            [(size[0] + width - 1).div_ceil(width), (size[1] + height - 1).div_ceil(height)]
+        Domain::Pixels => Lanes::Pixels,
+        Domain::Tiles { width, height, grid } => {
+            let origin = match grid {
+                Grid::Fixed([x, y]) => Origin::Fixed([x % width, y % height]),
+                Grid::PerFrame(purpose) => Origin::PerFrame(purpose),
+            };
+            Lanes::Tiles { size: [width, height], origin }
         }
-        Domain::Items(n) => [n.div_ceil(256), 1],
+        Domain::Items(n) => Lanes::Items(n),
     }
 }
 
@@ -281,7 +280,8 @@ impl Runner {
         self.gpu.device().create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
     }
 
-    /// Prepares the next frame: its world takes its turn, histories are exchanged. Nothing has changed where this fails.
+    /// Prepares the next frame: its world takes its turn, histories are exchanged. Nothing has
+    /// changed where this fails.
     pub(super) fn begin(
         &mut self,
         frame: &FrameState<'_>,
@@ -324,6 +324,7 @@ impl Runner {
             run: [shot.run as u32, (shot.run >> 32) as u32],
             frame: frame.index,
             effort: shot.estimates()[0],
+            extra_share: shot.extra_share(),
             size: shot.size,
             depth: shot.depth,
             box_filter: u32::from(shot.filter == Filter::Box),
@@ -447,7 +448,8 @@ impl Runner {
         Ok(counters)
     }
 
-    /// The first bytes of a buffer that can be mapped, once the submission is done; `None`: the newest one.
+    /// The first bytes of a buffer that can be mapped, once the submission is done; `None`: the
+    /// newest one.
     fn mapped(
         &self,
         buffer: &wgpu::Buffer,
@@ -540,7 +542,18 @@ fn compile(
     let passes = plan.passes.iter().zip(twins);
     passes
         .map(|(pass, twin)| {
-            let groups = groups(pass.domain, shot.size);
+            let lanes = lanes(pass.domain);
+            let [width, height] = lanes.workgroup();
+            let invocations = gpu.device().limits().max_compute_invocations_per_workgroup;
+            if width * height > invocations {
+                return Err(Error::gpu(format!(
+                    "pass `{}` has tiles of {width} x {height}, but {} runs at most {invocations} pixels a tile",
+                    pass.name,
+                    gpu.info()
+                )));
+            }
+            let kernel = Kernel::new(twin, lanes, scene);
+            let groups = kernel.groups(shot.size);
             if groups[0].max(groups[1]) > most {
                 return Err(Error::gpu(format!(
                     "pass `{}` takes {} x {} workgroups, but {} runs at most {most} a dimension",
@@ -550,8 +563,6 @@ fn compile(
                     gpu.info()
                 )));
             }
-            let constants = (&twin.constants[..], &twin.flags[..]);
-            let kernel = Kernel::new(twin.entry, &twin.modules, constants, scene);
             Ok(Ready { pipeline: gpu.pipeline(&kernel)?, groups })
         })
         .collect()

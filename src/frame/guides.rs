@@ -18,8 +18,8 @@ pub struct Guides {
     pub normal: Vec<Vec3>,
     /// Distance from the camera; +∞ where nothing is hit.
     pub depth: Vec<f32>,
-    /// Where the surface point was in the previous frame, minus where it is now, in pixels; 0 without a previous frame, for the sky, and
-    /// where the point was behind the camera.
+    /// Where the surface point was in the previous frame, minus where it is now, in pixels; 0
+    /// without a previous frame, for the sky, and where the point was behind the camera.
     pub motion: Vec<Vec2>,
 }
 

@@ -1,14 +1,20 @@
-//! The graphics processor: adapters, a device, pipelines, the scene in four arenas. Frames are run by [`crate::frame`].
+//! The graphics processor: adapters, a device, pipelines, the scene in four arenas. Frames are run
+//! by [`crate::frame`].
 //!
 //! | file | holds |
 //! |---|---|
 //! | `upload` | a world as words: what lies where |
 //! | `shader` | which WGSL modules make a kernel |
+//! | `compose` | modules as one text: what is left out, where errors are |
+//! | `entry` | entry points and workgroups, by what a kernel runs over |
 //! | `scene.wgsl` | the arenas from the other side: bindings, words, textures |
 //!
-//! WGSL stands beside the Rust that it is the twin of, with the same names in the same order (`math/rng.wgsl`, `accel/accel.wgsl`, …). What
-//! needs nothing of this crate's scene is public ([`wgsl`]), for hosts with pipelines of their own.
+//! WGSL stands beside the Rust that it is the twin of, with the same names in the same order
+//! (`math/rng.wgsl`, `accel/accel.wgsl`, …). What needs nothing of this crate's scene is public
+//! ([`wgsl`]), for hosts with pipelines of their own.
 
+mod compose;
+mod entry;
 mod shader;
 #[cfg(test)]
 pub(crate) mod tests;
@@ -18,9 +24,13 @@ use std::collections::HashMap;
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
+pub(crate) use entry::{Lanes, Origin};
 pub use shader::wgsl;
 pub(crate) use shader::{Kernel, SceneConstants};
 pub(crate) use upload::{CameraRecord, Inputs, Links, MAX_BUFFERS, ProjectionRecord, SceneBuffers};
+
+use compose::Composed;
+use entry::ENTRY;
 
 use crate::error::{Error, Result};
 use crate::world::World;
@@ -116,10 +126,12 @@ fn preference(adapter: &wgpu::Adapter) -> u32 {
 }
 
 impl Gpu {
-    /// Opens the preferred adapter, or the first whose `name (api)` contains `wanted`, capitals or not.
+    /// Opens the preferred adapter, or the first whose `name (api)` contains `wanted`, capitals or
+    /// not.
     ///
     /// # Errors
-    /// No adapter, none of that name (the message lists all), or one that lacks what kernels need ([`Error::is_gpu`]).
+    /// No adapter, none of that name (the message lists all), or one that lacks what kernels need
+    /// ([`Error::is_gpu`]).
     pub fn open(wanted: Option<&str>) -> Result<Arc<Self>> {
         let mut all = all_adapters();
         all.sort_by_key(preference);
@@ -146,7 +158,8 @@ impl Gpu {
     fn with_adapter(adapter: &wgpu::Adapter) -> Result<Arc<Self>> {
         let info = AdapterInfo::of(adapter);
         let most = adapter.limits();
-        // All limits are those of every WebGPU device, but for the size of buffers: large scenes need what there is.
+        // All limits are those of every WebGPU device, but for the size of buffers: large scenes
+        // need what there is.
         let limits = wgpu::Limits {
             max_storage_buffer_binding_size: most.max_storage_buffer_binding_size,
             max_buffer_size: most.max_buffer_size,
@@ -292,31 +305,53 @@ impl Gpu {
 
     /// The pipeline of a kernel, compiled once a device.
     pub(crate) fn pipeline(&self, kernel: &Kernel) -> Result<wgpu::ComputePipeline> {
-        let source = kernel.source()?;
-        let key = kernel.key(&source);
+        let composed = kernel.compose()?;
+        let key = kernel.key(&composed.text);
         if let Some(pipeline) = locked(&self.pipelines).get(&key) {
             return Ok(pipeline.clone());
         }
-        let what = format!("kernel `{}`", kernel.entry);
-        let pipeline = self.guarded(&what, || {
+        let pipeline = self.compile(kernel.name, &composed, &kernel.constants)?;
+        locked(&self.pipelines).insert(key, pipeline.clone());
+        Ok(pipeline)
+    }
+
+    /// A pipeline of a text. Errors of the text name the module's file and line.
+    fn compile(
+        &self,
+        name: &str,
+        composed: &Composed,
+        constants: &[(&str, f64)],
+    ) -> Result<wgpu::ComputePipeline> {
+        let what = format!("kernel `{name}`");
+        let mut said = Vec::new();
+        let module = self.guarded(&what, || {
             let module = self.device.create_shader_module(wgpu::ShaderModuleDescriptor {
-                label: Some(kernel.entry),
-                source: wgpu::ShaderSource::Wgsl(source.into()),
+                label: Some(name),
+                source: wgpu::ShaderSource::Wgsl(composed.text.as_str().into()),
             });
+            said = pollster::block_on(module.get_compilation_info()).messages;
+            module
+        });
+        let module = module.map_err(|error| {
+            let placed = said.iter().find_map(|message| {
+                let line = message.location?.line_number as usize;
+                Some(composed.explain(line, &message.message))
+            });
+            placed.map_or(error, |text| Error::gpu(format!("{what}: {text}")))
+        })?;
+        self.guarded(&what, || {
             self.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-                label: Some(kernel.entry),
+                label: Some(name),
                 layout: Some(&self.pipeline_layout),
                 module: &module,
-                entry_point: Some(kernel.entry),
+                entry_point: Some(ENTRY),
                 compilation_options: wgpu::PipelineCompilationOptions {
-                    constants: &kernel.constants,
+                    constants,
                     ..wgpu::PipelineCompilationOptions::default()
                 },
                 cache: None,
             })
-        })?;
-        locked(&self.pipelines).insert(key, pipeline.clone());
-        Ok(pipeline)
+        })
     }
 
     /// Number of pipelines compiled so far.
@@ -325,7 +360,8 @@ impl Gpu {
         locked(&self.pipelines).len()
     }
 
-    /// A still world's arenas, shared by all loops that show it; with the emitters' tree where that is `wanted`.
+    /// A still world's arenas, shared by all loops that show it; with the emitters' tree where that
+    /// is `wanted`.
     pub(crate) fn scene(
         self: &Arc<Self>,
         world: &Arc<World>,

@@ -1,4 +1,5 @@
-// The scene as it lies in four arenas, and the loop's state. Who reads what is beside its reader; this holds words, textures and constants.
+// The scene as it lies in four arenas, and the loop's state. Who reads what is beside its reader;
+// this holds words, textures and constants.
 
 // What the plan leaves out; a pipeline sets them.
 override TWO_LEVEL: bool = true;
@@ -68,10 +69,12 @@ struct Inputs {
     box_filter: u32,
     // Words from light of the previous frame to this one's, their number, the same back.
     remap: vec4<u32>,
-    // Words from an instance to its place in the previous frame (or NONE: the same), whether there is a previous frame.
+    // Words from an instance to its place in the previous frame (or NONE: the same), whether there
+    // is a previous frame.
     instances: vec4<u32>,
     srgb: u32,
-    items: u32,
+    // The share of pixels with one estimate more than `effort`, in 2^-32 of the picture.
+    extra_share: u32,
     padding_a: u32,
     padding_b: u32,
     camera: CameraRays,
@@ -79,7 +82,7 @@ struct Inputs {
     projection: Projection,
     worlds: array<World, 2>,
     // Words where each of the loop's buffers begins: now, in the previous frame.
-    buffers: array<vec4<u32>, 16>,
+    buffers: array<vec4<u32>, 24>,
 }
 
 const NOW: u32 = 0u;

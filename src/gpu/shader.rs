@@ -1,11 +1,16 @@
-//! Kernels: WGSL modules put together, with what the plan and the scene leave out as constants.
+//! Kernels: which modules they are made of, with what the plan and the scene leave out as
+//! constants.
 
 use std::collections::HashMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
 
+use super::compose::Composed;
+use super::entry::Lanes;
 use crate::error::{Error, Result};
+use crate::twin::{Module, Twin};
 
-/// WGSL that needs nothing of this crate's scene. Each text is part of a module: put together what you need and add your own.
+/// WGSL that needs nothing of this crate's scene. Each text is part of a module: put together what
+/// you need and add your own.
 ///
 /// | part | needs |
 /// |---|---|
@@ -21,21 +26,31 @@ use crate::error::{Error, Result};
 pub mod wgsl {
     /// Random numbers by purpose, bit-equal to [`crate::math::rng`].
     pub const RNG: &str = include_str!("../math/rng.wgsl");
-    pub use crate::resampling::{MERGE_WGSL as MERGE, RESAMPLING_WGSL as RESAMPLING};
-    pub use crate::reuse::light_points::VISIBILITY_WGSL as VISIBILITY;
+    /// Weighted reservoirs, MIS weights, mutated weights, as in [`crate::resampling`].
+    pub const RESAMPLING: &str = crate::resampling::RESAMPLING_WGSL.text;
+    /// [`crate::resampling::merge()`], and [`merge_history`](crate::resampling::merge_history) with
+    /// one other input; its head says what a host adds.
+    pub const MERGE: &str = crate::resampling::MERGE_WGSL.text;
+    /// What visibility policies keep, as in [`crate::reuse`]: outcomes, averages, estimates.
+    pub const VISIBILITY: &str = concat!(
+        include_str!("../reuse/policy/stored.wgsl"),
+        include_str!("../reuse/policy/wis.wgsl"),
+        include_str!("../reuse/control.wgsl")
+    );
 }
 
 /// What every kernel that knows the scene is made of.
-const SCENE: [&str; 9] = [
-    wgsl::RNG,
-    include_str!("../math/math.wgsl"),
-    include_str!("../math/warp.wgsl"),
-    include_str!("scene.wgsl"),
-    include_str!("../accel/accel.wgsl"),
-    include_str!("../surface/bsdf.wgsl"),
-    include_str!("../light/light.wgsl"),
-    include_str!("../surface/surface.wgsl"),
-    include_str!("../path/path.wgsl"),
+const SCENE: [Module; 10] = [
+    crate::wgsl!("../math/rng.wgsl"),
+    crate::wgsl!("../math/math.wgsl"),
+    crate::wgsl!("../math/warp.wgsl"),
+    crate::wgsl!("scene.wgsl"),
+    crate::wgsl!("../accel/accel.wgsl"),
+    crate::wgsl!("../surface/bsdf.wgsl"),
+    crate::wgsl!("../light/light.wgsl"),
+    crate::wgsl!("../surface/surface.wgsl"),
+    crate::wgsl!("../pass.wgsl"),
+    crate::wgsl!("../path/path.wgsl"),
 ];
 
 /// A name and its value.
@@ -100,103 +115,58 @@ impl SceneConstants {
     }
 }
 
-/// Appends `text` without the parts that constants leave out, so that drivers never see them: their compilers inline everything before they drop
-/// anything, and take minutes over what is never run.
-///
-/// Directives are comments, so a text may be valid as a whole, too: `//#if NAME`, `//#if !NAME`, `//#if NAME=3|4`, `//#else`, `//#endif`. What asks
-/// for a name without a value stays, with all of its branches.
-pub(super) fn select(
-    text: &str,
-    known: &HashMap<&str, f64>,
-    out: &mut String,
-) -> std::result::Result<(), String> {
-    // For each open directive: whether its lines stay, and whether its other branch does.
-    let mut open: Vec<(bool, bool)> = Vec::new();
-    for (number, line) in text.lines().enumerate() {
-        let directive = line.trim_start().strip_prefix("//#");
-        match directive.map(|d| d.split_once(' ').unwrap_or((d, ""))) {
-            Some(("if", condition)) => {
-                let holds = condition_holds(condition.trim(), known);
-                open.push((holds.unwrap_or(true), !holds.unwrap_or(false)));
-            }
-            Some((word @ ("else" | "endif"), _)) => {
-                let Some((stays, other)) = open.pop() else {
-                    return Err(format!("line {}: an #{word} without an #if", number + 1));
-                };
-                if word == "else" {
-                    open.push((other, stays));
-                }
-            }
-            // Other comments are comments.
-            _ if open.iter().all(|(stays, _)| *stays) => {
-                out.push_str(line);
-                out.push('\n');
-            }
-            _ => {}
-        }
-    }
-    if open.is_empty() { Ok(()) } else { Err("an #if has no #endif".to_string()) }
-}
-
-/// `None`: not known.
-fn condition_holds(condition: &str, known: &HashMap<&str, f64>) -> Option<bool> {
-    if let Some(name) = condition.strip_prefix('!') {
-        return known.get(name).map(|value| *value == 0.0);
-    }
-    match condition.split_once('=') {
-        Some((name, values)) => {
-            let value = known.get(name)?;
-            Some(values.split('|').any(|v| v.parse() == Ok(*value)))
-        }
-        None => known.get(condition).map(|value| *value != 0.0),
-    }
-}
-
 /// A kernel before it is compiled.
 #[derive(Clone, Debug)]
 pub(crate) struct Kernel {
-    pub(crate) entry: &'static str,
-    modules: Vec<&'static str>,
+    /// The kernel's function, which the entry point calls.
+    pub(crate) name: &'static str,
+    lanes: Lanes,
+    modules: Vec<Module>,
     pub(crate) constants: Vec<Constant>,
-    /// What directives may ask besides.
+    /// What directives may ask for besides.
     flags: Vec<Constant>,
+    /// What the composer declares.
+    names: Vec<(String, u32)>,
     stack: u32,
 }
 
 impl Kernel {
-    pub(crate) fn new(
-        entry: &'static str,
-        own: &[&'static str],
-        (constants, flags): (&[Constant], &[Constant]),
-        scene: &SceneConstants,
-    ) -> Self {
+    pub(crate) fn new(twin: &Twin, lanes: Lanes, scene: &SceneConstants) -> Self {
         let mut modules = SCENE.to_vec();
-        modules.extend_from_slice(own);
-        let mut all = scene.pairs();
-        all.extend_from_slice(constants);
-        let flags = scene.flags().into_iter().chain(flags.iter().copied()).collect();
-        Self { entry, modules, constants: all, flags, stack: scene.stack }
+        modules.extend_from_slice(&twin.modules);
+        let mut constants = scene.pairs();
+        constants.extend_from_slice(&twin.constants);
+        let flags = scene.flags().into_iter().chain(twin.flags.iter().copied()).collect();
+        let (names, stack) = (twin.names.clone(), scene.stack);
+        Self { name: twin.kernel, lanes, modules, constants, flags, names, stack }
     }
 
-    /// The whole module, without what `//#if` leaves out.
+    /// The whole module with its entry point, without what directives leave out.
     ///
     /// # Errors
-    /// An `//#else` or `//#endif` without its `//#if`, or the other way around.
-    pub(crate) fn source(&self) -> Result<String> {
-        let mut text = format!("const STACK: u32 = {}u;\n\n", self.stack);
-        let known: HashMap<&str, f64> = self.constants.iter().chain(&self.flags).copied().collect();
-        for module in &self.modules {
-            select(module, &known, &mut text)
-                .map_err(|why| Error::gpu(format!("kernel `{}`: {why}", self.entry)))?;
-            text.push('\n');
+    /// A directive without its other half, or with a name that nobody declares.
+    pub(crate) fn compose(&self) -> Result<Composed> {
+        let mut generated = format!("const STACK: u32 = {}u;\n", self.stack);
+        for (name, value) in &self.names {
+            generated.push_str(&format!("const {name}: u32 = {value}u;\n"));
         }
-        Ok(text)
+        generated.push_str(&self.lanes.constants());
+        let known: HashMap<&str, f64> = self.constants.iter().chain(&self.flags).copied().collect();
+        let mut composed = Composed::new(&generated, &self.modules, &known)
+            .map_err(|why| Error::gpu(format!("kernel `{}`: {why}", self.name)))?;
+        composed.generate(&self.lanes.entry_point(self.name));
+        Ok(composed)
     }
 
     /// Different for different kernels.
     pub(crate) fn key(&self, source: &str) -> String {
         let mut hasher = DefaultHasher::new();
         source.hash(&mut hasher);
-        format!("{} {:?} {:016x}", self.entry, self.constants, hasher.finish())
+        format!("{} {:?} {:016x}", self.name, self.constants, hasher.finish())
+    }
+
+    /// The workgroups that cover a picture.
+    pub(crate) fn groups(&self, picture: [u32; 2]) -> [u32; 2] {
+        self.lanes.groups(picture)
     }
 }

@@ -7,8 +7,9 @@
 //! | words | materials, textures' programs, tables; then, once a frame: shapes, lights, what leads from the previous frame |
 //! | texels | images |
 //!
-//! The first part of each is written once and stays while the host keeps its objects, materials and images. Of the second there are two where
-//! anything moves, for this frame and the previous one; frames take turns.
+//! The first part of each is written once and stays while the host keeps its objects, materials and
+//! images. Of the second there are two where anything moves, for this frame and the previous one;
+//! frames take turns.
 
 use std::collections::HashMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -89,7 +90,7 @@ pub(crate) struct ProjectionRecord {
 }
 
 /// Buffers of a plan that kernels can address.
-pub(crate) const MAX_BUFFERS: usize = 16;
+pub(crate) const MAX_BUFFERS: usize = 24;
 
 /// `Inputs` of `scene.wgsl`: what a frame's kernels share.
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
@@ -104,7 +105,7 @@ pub(crate) struct Inputs {
     pub(crate) remap: [u32; 4],
     pub(crate) instances: [u32; 4],
     pub(crate) srgb: u32,
-    pub(crate) items: u32,
+    pub(crate) extra_share: u32,
     pub(crate) padding: [u32; 2],
     pub(crate) camera: CameraRecord,
     pub(crate) camera_before: CameraRecord,
@@ -335,7 +336,8 @@ const MATERIAL_HEAD: usize = 10;
 /// A colour's channel.
 const RGB: u32 = 5;
 
-/// A material's words: kind, number of parameters, words of its own, parameters; what it needs beside them is put before.
+/// A material's words: kind, number of parameters, words of its own, parameters; what it needs
+/// beside them is put before.
 fn material_words(places: &Places, material: &Material, words: &mut Words) -> Vec<u32> {
     enum Parameter {
         Color(Color),
@@ -414,7 +416,8 @@ fn material_words(places: &Places, material: &Material, words: &mut Words) -> Ve
     to
 }
 
-/// Rows of the table of rough interfaces that a coat may ask for: those around its roughness, all where that is textured.
+/// Rows of the table of rough interfaces that a coat may ask for: those around its roughness, all
+/// where that is textured.
 fn coat_rows(r: Roughness) -> std::ops::RangeInclusive<usize> {
     let (Scalar::Constant(u), Scalar::Constant(v)) = (r.u, r.v) else { return 0..=NODES - 1 };
     let alpha = |x: f32| if r.remap { x.max(0.0).sqrt() } else { x.max(0.0) };
@@ -573,7 +576,8 @@ impl SceneBuffers {
         Self::new(gpu, (world, None), &Links::default(), None)
     }
 
-    /// Of a world and the one before it, with room for what comes. Kernels will know what both need, and what `known` says.
+    /// Of a world and the one before it, with room for what comes. Kernels will know what both
+    /// need, and what `known` says.
     pub(crate) fn new(
         gpu: &Gpu,
         (world, previous): (&World, Option<&World>),
@@ -663,8 +667,9 @@ impl SceneBuffers {
         }))
     }
 
-    /// The next frame's world takes its turn; the one of now becomes the previous one. False, and nothing changed: there is no room, or things
-    /// changed that are written once; then all must be made anew.
+    /// The next frame's world takes its turn; the one of now becomes the previous one. False, and
+    /// nothing changed: there is no room, or things changed that are written once; then all must be
+    /// made anew.
     pub(crate) fn advance(&mut self, gpu: &Gpu, world: &World, links: &Links<'_>) -> Result<bool> {
         let next = 1 - self.turn;
         let part = self.fitting(world, next, links)?;
@@ -676,7 +681,8 @@ impl SceneBuffers {
         Ok(true)
     }
 
-    /// `world` is both this frame's and the previous one's. False, and nothing changed, as for [`SceneBuffers::advance`].
+    /// `world` is both this frame's and the previous one's. False, and nothing changed, as for
+    /// [`SceneBuffers::advance`].
     pub(crate) fn reset(&mut self, gpu: &Gpu, world: &World) -> Result<bool> {
         let links = Links::default();
         let parts = [self.fitting(world, 0, &links)?, self.fitting(world, 1, &links)?];

@@ -10,7 +10,8 @@ const SPOT: u32 = 4u;
 const DISTANT: u32 = 5u;
 const ENVIRONMENT: u32 = 6u;
 
-// Words of a light: kind, flags, colour, scale, coverage, area, four vectors, three numbers, texture coordinates.
+// Words of a light: kind, flags, colour, scale, coverage, area, four vectors, three numbers,
+// texture coordinates.
 const LIGHT: u32 = 32u;
 const LIGHT_TWO_SIDED: u32 = 1u;
 const LIGHT_HOLLOW: u32 = 2u;
@@ -99,7 +100,8 @@ fn light_sent(at: u32, uv: vec2f) -> vec3f {
     return radiance;
 }
 
-// Centre and radius of a sphere that is drawn by the cap it shows; a radius of -1 where points are drawn by area.
+// Centre and radius of a sphere that is drawn by the cap it shows; a radius of -1 where points are
+// drawn by area.
 fn light_cap(at: u32, place: vec3f) -> vec4f {
     //#if QUADRICS
     if QUADRICS && words[at] == SPHERE {
@@ -443,7 +445,8 @@ fn same_kind(w: u32, light: u32, other_w: u32, other: u32) -> bool {
     return words[light_at(w, light)] == words[light_at(other_w, other)];
 }
 
-// --- The environment. Words: radiance, image or NONE, mapping, two matrices by column, cumulative rows and columns, cells, width, height, light.
+// --- The environment. Words: radiance, image or NONE, mapping, two matrices by column, cumulative
+// rows and columns, cells, width, height, light.
 
 const LATITUDE_LONGITUDE: u32 = 0u;
 

@@ -1,4 +1,5 @@
-// Twin of `math::rng`: the same numbers, bit for bit. Needs nothing else, so that a host may take it alone.
+// Twin of `math::rng`: the same numbers, bit for bit. Needs nothing else, so that a host may take
+// it alone.
 
 const BLOCK_SCATTER: u32 = 0u;
 const BLOCK_LIGHT: u32 = 1u;
@@ -13,6 +14,8 @@ const PURPOSE_NEIGHBOURS: u32 = 5u;
 const PURPOSE_MUTATION: u32 = 6u;
 const PURPOSE_TILE_MASK: u32 = 7u;
 const PURPOSE_LIGHT_TILE: u32 = 8u;
+const PURPOSE_TAPS: u32 = 9u;
+const PURPOSE_EFFORT: u32 = 10u;
 
 fn pcg4d(v: vec4<u32>) -> vec4<u32> {
     var w = v * 1664525u + vec4<u32>(1013904223u);
@@ -87,7 +90,8 @@ fn stream_word(s: ptr<function, Stream>) -> u32 {
     return select(select(w.x, w.y, at == 1u), select(w.z, w.w, at == 3u), at >= 2u);
 }
 
-// Whether word / 2^32 < weight / total, exactly: the 56-bit product of word and total's mantissa against weight's, shifted.
+// Whether word / 2^32 < weight / total, exactly: the 56-bit product of word and total's mantissa
+// against weight's, shifted.
 fn is_below(word: u32, weight: f32, total: f32) -> bool {
     if !(weight > 0.0) {
         return false;

@@ -25,18 +25,9 @@ fn shadow_ray(surface: SurfacePoint, direction: vec3f, end: vec4f) -> Ray {
     return Ray(origin, direction, FAR);
 }
 
-fn sample_position(camera_frame: u32, x: u32, y: u32, sample: u32) -> vec2f {
-    let corner = vec2f(f32(x), f32(y));
-    if inputs.box_filter == 0u {
-        return corner + vec2f(0.5);
-    }
-    var jitter = stream_new(inputs.run, y * inputs.size.x + x, camera_frame, PURPOSE_JITTER, sample);
-    let u = stream_uniform(&jitter);
-    return corner + vec2f(u, stream_uniform(&jitter));
-}
-
-// Light reflected or transmitted towards the camera at a primary hit. With `sampled` ALL one light after the other; without `direct`, what comes
-// straight to the primary hit and leaves it by a lobe that is not a delta is left out.
+// Light reflected or transmitted towards the camera at a primary hit. With `sampled` ALL one light
+// after the other; without `direct`, what comes straight to the primary hit and leaves it by a lobe
+// that is not a delta is left out.
 fn walk(
     seed: vec2<u32>,
     primary_direction: vec3f,
@@ -140,7 +131,8 @@ fn walk(
     return radiance;
 }
 
-// The share of a direction that BSDF sampling found, where light sampling has `pdf` given the light.
+// The share of a direction that BSDF sampling found, where light sampling has `pdf` given the
+// light.
 fn bsdf_share(scattered: BsdfSample, light: u32, pdf: f32, sampled: u32) -> f32 {
     if scattered.delta || sampled == SAMPLE_NONE {
         return 1.0;
@@ -170,30 +162,4 @@ fn direct_light(surface: SurfacePoint, outgoing: vec3f, light: u32, choice: f32,
         share = power_heuristic(density, scattered.pdf);
     }
     return incident.radiance * scattered.value * (share / density);
-}
-
-// --- Primary hits, as they lie in the loop's first buffer.
-
-fn read_hit(at: u32) -> Hit {
-    return Hit(
-        bitcast<f32>(state[at]),
-        bitcast<f32>(state[at + 1u]),
-        bitcast<f32>(state[at + 2u]),
-        state[at + 3u],
-        state[at + 4u],
-    );
-}
-
-fn primary_hit(pixel: u32) -> Hit {
-    return read_hit(buffer_now(HITS) + pixel * 5u);
-}
-
-fn write_hit(pixel: u32, hit: Hit) {
-    let at = buffer_now(HITS) + pixel * 5u;
-    // A miss has an infinite distance, which no expression of this language may make.
-    state[at] = select(bitcast<u32>(hit.t), 0x7f800000u, hit.primitive == MISS);
-    state[at + 1u] = bitcast<u32>(hit.u);
-    state[at + 2u] = bitcast<u32>(hit.v);
-    state[at + 3u] = hit.primitive;
-    state[at + 4u] = hit.instance;
 }

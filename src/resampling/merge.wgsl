@@ -1,14 +1,16 @@
-// Twin of `resampling::spatial` (and of `temporal`, with one other input whose confidence is capped).
+// Twin of `resampling::merge` (and of `merge_history`, with one other input whose confidence is
+// capped).
 //
-// A host declares, for inputs numbered 0 (the canonical one), 1, 2, …:
+// A host declares what it knows of a merge, and for inputs numbered 0 (the canonical one), 1, 2, …:
 //
 //     struct Sample { … }
-//     struct Carried { visibility: f32, radiance: vec3f }
-//     fn input_finished(input: u32) -> Finished
-//     fn input_target(input: u32) -> f32                  // of its own sample, in its own domain
-//     fn shift(sample: Sample, origin: u32, destination: u32) -> Shifted
+//     struct Merge { … }
+//     fn input_finished(m: ptr<function, Merge>, input: u32) -> Finished
+//     fn input_target(m: ptr<function, Merge>, input: u32) -> f32
+//         of its own sample, in its own domain
+//     fn shift(m: ptr<function, Merge>, sample: Sample, origin: u32, destination: u32) -> Shifted
 //     fn target_of(integrand: vec3f) -> f32
-//     fn carry(term: Term) -> Carried
+//     fn carry(m: ptr<function, Merge>, term: Term) -> Carried
 
 // Empty where the weight is 0.
 struct Finished {
@@ -33,6 +35,12 @@ struct Term {
     shifted: Shifted,
 }
 
+// What an input brings to the reservoir besides its weight.
+struct Carried {
+    visibility: f32,
+    radiance: vec3f,
+}
+
 struct Merged {
     finished: Finished,
     target_luminance: f32,
@@ -43,18 +51,24 @@ struct Merged {
 }
 
 // An input's target at a sample of the canonical domain, as seen from there.
-fn target_from(sample: Sample, input: u32) -> f32 {
-    let shifted = shift(sample, 0u, input);
+fn target_from(m: ptr<function, Merge>, sample: Sample, input: u32) -> f32 {
+    let shifted = shift(m, sample, 0u, input);
     return select(0.0, target_of(shifted.integrand) * shifted.jacobian, shifted.valid);
 }
 
-fn merge(family: u32, count: u32, r: ptr<function, Reservoir>, random: ptr<function, Stream>) -> Merged {
-    let own = input_finished(0u);
-    let own_target = input_target(0u);
+fn merge(
+    m: ptr<function, Merge>,
+    family: u32,
+    count: u32,
+    r: ptr<function, Reservoir>,
+    random: ptr<function, Stream>,
+) -> Merged {
+    let own = input_finished(m, 0u);
+    let own_target = input_target(m, 0u);
     let has_own = own.weight > 0.0;
     var other_confidence = 0.0;
     for (var i = 1u; i <= count; i++) {
-        other_confidence += input_finished(i).confidence;
+        other_confidence += input_finished(m, i).confidence;
     }
     let total = own.confidence + other_confidence;
     let is_pairwise = family == FAMILY_PAIRWISE || family == FAMILY_DEFENSIVE;
@@ -75,13 +89,13 @@ fn merge(family: u32, count: u32, r: ptr<function, Reservoir>, random: ptr<funct
     chosen.valid = false;
 
     for (var i = 1u; i <= count; i++) {
-        let input = input_finished(i);
+        let input = input_finished(m, i);
         if input.confidence <= 0.0 {
             continue;
         }
-        //#if FAMILY=4|5
+        //#if FAMILY=FAMILY_PAIRWISE|FAMILY_DEFENSIVE
         if is_pairwise && has_own {
-            let there = target_from(own.sample, i);
+            let there = target_from(m, own.sample, i);
             any_other = any_other || there > 0.0;
             canonical_mis += pairwise_canonical_part(pairs, input.confidence, there, own_target);
         }
@@ -89,7 +103,7 @@ fn merge(family: u32, count: u32, r: ptr<function, Reservoir>, random: ptr<funct
         if !(input.weight > 0.0) {
             continue;
         }
-        let candidate = shift(input.sample, i, 0u);
+        let candidate = shift(m, input.sample, i, 0u);
         if !candidate.valid {
             continue;
         }
@@ -97,18 +111,18 @@ fn merge(family: u32, count: u32, r: ptr<function, Reservoir>, random: ptr<funct
         if here <= 0.0 {
             continue;
         }
-        let there = input_target(i) / candidate.jacobian;
+        let there = input_target(m, i) / candidate.jacobian;
         var mis = input.confidence / total;
         if is_pairwise {
             mis = pairwise_other(pairs, input.confidence, there, here);
         }
-        //#if FAMILY=3
+        //#if FAMILY=FAMILY_BALANCE
         if family == FAMILY_BALANCE {
             var rivals = 0.0;
             for (var rival = 1u; rival <= count; rival++) {
-                let confidence = input_finished(rival).confidence;
+                let confidence = input_finished(m, rival).confidence;
                 if rival != i && confidence > 0.0 {
-                    rivals += confidence / input.confidence * (target_from(candidate.sample, rival) / there);
+                    rivals += confidence / input.confidence * (target_from(m, candidate.sample, rival) / there);
                 }
             }
             rivals += own.confidence / input.confidence * (here / there);
@@ -122,7 +136,7 @@ fn merge(family: u32, count: u32, r: ptr<function, Reservoir>, random: ptr<funct
         let weight = contribution * here;
         if weight != 0.0 {
             any_other = true;
-            let carried = carry(Term(i, mis, contribution, weight, candidate));
+            let carried = carry(m, Term(i, mis, contribution, weight, candidate));
             if reservoir_stream(r, weight, carried.visibility, carried.radiance, random) {
                 any_selected = true;
                 source = i;
@@ -132,13 +146,13 @@ fn merge(family: u32, count: u32, r: ptr<function, Reservoir>, random: ptr<funct
     }
 
     if has_own {
-        //#if FAMILY=3
+        //#if FAMILY=FAMILY_BALANCE
         if family == FAMILY_BALANCE && other_confidence > 0.0 {
             var rivals = 0.0;
             for (var rival = 1u; rival <= count; rival++) {
-                let confidence = input_finished(rival).confidence;
+                let confidence = input_finished(m, rival).confidence;
                 if confidence > 0.0 {
-                    let seen = target_from(own.sample, rival);
+                    let seen = target_from(m, own.sample, rival);
                     any_other = any_other || seen > 0.0;
                     rivals += confidence / own.confidence * (seen / own_target);
                 }
@@ -154,7 +168,7 @@ fn merge(family: u32, count: u32, r: ptr<function, Reservoir>, random: ptr<funct
         if weight != 0.0 {
             var none: Shifted;
             none.valid = false;
-            let carried = carry(Term(0u, canonical_mis, contribution, weight, none));
+            let carried = carry(m, Term(0u, canonical_mis, contribution, weight, none));
             if reservoir_stream(r, weight, carried.visibility, carried.radiance, random) {
                 any_selected = true;
                 source = 0u;
@@ -177,11 +191,11 @@ fn merge(family: u32, count: u32, r: ptr<function, Reservoir>, random: ptr<funct
         selected_target = target_of(chosen.integrand);
     }
     var scale = 1.0;
-    //#if FAMILY=1|2
+    //#if FAMILY=FAMILY_INVERSE_COUNT|FAMILY_CONTRIBUTION
     if (family == FAMILY_INVERSE_COUNT || family == FAMILY_CONTRIBUTION) && other_confidence > 0.0 {
         var of_source = selected_target;
         if chosen.valid {
-            of_source = input_target(source) / chosen.jacobian;
+            of_source = input_target(m, source) / chosen.jacobian;
         }
         var reach = 0.0;
         var sum = 0.0;
@@ -190,13 +204,13 @@ fn merge(family: u32, count: u32, r: ptr<function, Reservoir>, random: ptr<funct
             sum += own.confidence * (selected_target / of_source);
         }
         for (var i = 1u; i <= count; i++) {
-            let confidence = input_finished(i).confidence;
+            let confidence = input_finished(m, i).confidence;
             var there = of_source;
             if i != source {
                 if !(confidence > 0.0) {
                     continue;
                 }
-                there = target_from(sample, i);
+                there = target_from(m, sample, i);
             }
             if there > 0.0 {
                 reach += confidence;

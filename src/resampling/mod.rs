@@ -74,9 +74,9 @@ mod shift;
 mod tests;
 
 /// Reservoirs, MIS weights and mutations in WGSL; needs [`crate::math::rng`]'s.
-pub const RESAMPLING_WGSL: &str = include_str!("resampling.wgsl");
+pub const RESAMPLING_WGSL: Module = crate::wgsl!("resampling.wgsl");
 /// [`merge()`] and [`merge_history`] in WGSL; its head says what a host adds.
-pub const MERGE_WGSL: &str = include_str!("merge.wgsl");
+pub const MERGE_WGSL: Module = crate::wgsl!("merge.wgsl");
 
 pub use claim::Claim;
 pub use estimate::{
@@ -91,3 +91,5 @@ pub use reservoir::{
     WithVisibility,
 };
 pub use shift::{Identity, Integrand, ShiftMap, Shifted};
+
+use crate::twin::Module;

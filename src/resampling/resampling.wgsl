@@ -1,4 +1,5 @@
-// Twin of `resampling`: weighted reservoirs, MIS weights, mutated weights. Needs the random numbers of `math/rng.wgsl`.
+// Twin of `resampling`: weighted reservoirs, MIS weights, mutated weights. Needs the random numbers
+// of `math/rng.wgsl`.
 
 const FAMILY_CONSTANT: u32 = 0u;
 const FAMILY_INVERSE_COUNT: u32 = 1u;

@@ -38,6 +38,7 @@ mod shade;
 mod spatial;
 mod surfaces;
 mod temporal;
+pub(crate) mod twin;
 
 use bytemuck::Pod;
 use glam::Vec3;
@@ -46,6 +47,7 @@ pub(crate) use boiling::limit as boiling_limit;
 pub use control::Control;
 pub use parameters::{MAX_NEIGHBOURS, Settings, SpatialUse, Taps};
 pub use policy::{REUSE_AGE, REUSE_DISTANCE, Reused, Visibility};
+pub use twin::{CONTROL_WGSL, STORED_WGSL, WIS_WGSL};
 
 use crate::accel::Hit;
 use crate::counters::Counters;

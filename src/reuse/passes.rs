@@ -125,6 +125,12 @@ impl Round {
     }
 }
 
+/// Frames of history from which a pixel takes nothing from its neighbours; 0: every pixel takes.
+/// History grows old where anything moves, so there every pixel takes.
+pub(crate) fn mature(settings: &Settings, still: bool) -> u32 {
+    if still { settings.mature } else { 0 }
+}
+
 /// What the previous frame left: a buffer of its own where the spatial result is kept, else the
 /// reservoirs' other half.
 pub(super) fn history<'f, R: StoredReservoir>(inputs: &'f FrameInputs<'_>) -> &'f [R] {
@@ -166,6 +172,64 @@ pub(crate) struct Initial {
     pub(crate) rays: [u64; 3],
 }
 
+/// The buffers of reuse in a plan.
+struct Buffers {
+    normals: Option<BufferId>,
+    records: Vec<(Place, BufferId)>,
+    controls: Vec<(ControlPlace, BufferId)>,
+}
+
+impl Buffers {
+    /// Adds them. A place that several rounds write is one buffer.
+    fn add<R: StoredReservoir, P: Policy>(plan: &mut Builder<'_>, settings: &Settings) -> Self {
+        let (chains, still) = (plan.shot.chains(), plan.still());
+        let (temporal, spatial) = (settings.cap > 0, settings.neighbours > 0);
+        let moving_history = temporal && !still;
+        if moving_history {
+            plan.keep_history(Plan::HITS);
+        }
+        let normals = (spatial || moving_history)
+            .then(|| plan.buffer(NORMALS, Elements::Pixels, moving_history));
+        // Where the spatial result is not kept the reservoirs are their own history.
+        let kept = spatial && settings.spatial == SpatialUse::Feedback;
+        let mut places = vec![(Place::Reservoirs, temporal && !kept)];
+        let mut control_places = vec![(ControlPlace::Controls, temporal && !kept)];
+        for round in rounds(settings) {
+            places.extend(round.to.map(|place| (place, false)));
+            control_places.extend(round.controls().1.map(|place| (place, false)));
+        }
+        let mut records: Vec<(Place, BufferId)> = Vec::new();
+        for (place, history) in places {
+            if records.iter().all(|(known, _)| *known != place) {
+                let key = Keys::<R>::at(place);
+                records.push((place, plan.buffer_of(key, chains, Elements::Pixels, history)));
+            }
+        }
+        let mut controls: Vec<(ControlPlace, BufferId)> = Vec::new();
+        for (place, history) in control_places {
+            if P::CONTROL && controls.iter().all(|(known, _)| *known != place) {
+                let key = place.control_key();
+                controls.push((place, plan.buffer_of(key, chains, Elements::Pixels, history)));
+            }
+        }
+        Self { normals, records, controls }
+    }
+
+    /// The records of a place and the estimates of another, where the plan has them.
+    fn at(&self, place: Option<Place>, control: Option<ControlPlace>) -> Vec<BufferId> {
+        let records = self.records.iter().filter(|(known, _)| Some(*known) == place);
+        let controls = self.controls.iter().filter(|(known, _)| Some(*known) == control);
+        records.map(|(_, id)| *id).chain(controls.map(|(_, id)| *id)).collect()
+    }
+}
+
+/// The rounds of spatial reuse.
+fn rounds(settings: &Settings) -> impl Iterator<Item = Round> + use<> {
+    let settings = *settings;
+    let count = if settings.neighbours > 0 { settings.rounds } else { 0 };
+    (0..count).map(move |number| Round::new(&settings, number))
+}
+
 /// Adds buffers and passes of reuse to a plan.
 pub(crate) fn add<R: StoredReservoir, P: Policy>(
     plan: &mut Builder<'_>,
@@ -173,56 +237,21 @@ pub(crate) fn add<R: StoredReservoir, P: Policy>(
     initial: Initial,
 ) {
     plan.count_chains();
-    let chains = plan.shot.chains();
+    let buffers = Buffers::add::<R, P>(plan, settings);
     let still = plan.still();
-    let Settings { rounds, neighbours, mutations, .. } = *settings;
-    let (temporal, spatial) = (settings.cap > 0, neighbours > 0);
-    let kept = spatial && settings.spatial == SpatialUse::Feedback;
-    if temporal && !still {
-        plan.keep_history(Plan::HITS);
-    }
-    let normals = (spatial || (temporal && !still))
-        .then(|| plan.buffer(NORMALS, Elements::Pixels, temporal && !still));
-    // Where the spatial result is not kept the reservoirs are their own history.
-    let own_history = temporal && !kept;
-    let mut places = vec![(Place::Reservoirs, own_history)];
-    let mut control_places = vec![(ControlPlace::Controls, own_history)];
-    for round in (0..if spatial { rounds } else { 0 }).map(|round| Round::new(settings, round)) {
-        places.extend(round.to.map(|place| (place, false)));
-        control_places.extend(round.controls().1.map(|place| (place, false)));
-    }
-    let mut records: Vec<(Place, BufferId)> = Vec::new();
-    for (place, history) in places {
-        if records.iter().all(|(known, _)| *known != place) {
-            let key = Keys::<R>::at(place);
-            records.push((place, plan.buffer_of(key, chains, Elements::Pixels, history)));
-        }
-    }
-    let mut controls: Vec<(ControlPlace, BufferId)> = Vec::new();
-    for (place, history) in control_places {
-        if P::CONTROL && controls.iter().all(|(known, _)| *known != place) {
-            let key = place.control_key();
-            controls.push((place, plan.buffer_of(key, chains, Elements::Pixels, history)));
-        }
-    }
-    let record =
-        |place| records.iter().filter(move |(known, _)| *known == place).map(|(_, id)| *id);
-    let control = |place: Option<ControlPlace>| {
-        controls.iter().filter(move |(known, _)| Some(*known) == place).map(|(_, id)| *id)
-    };
-    let in_place: Vec<BufferId> =
-        record(Place::Reservoirs).chain(control(Some(ControlPlace::Controls))).collect();
+    let chains = u64::from(plan.shot.chains());
+    let count = |ray: bool| u64::from(ray) * chains;
+    let in_place = buffers.at(Some(Place::Reservoirs), Some(ControlPlace::Controls));
 
-    let count = |ray: bool| u64::from(ray) * u64::from(chains);
-    let [bounce, shadow, emitter] = initial.rays.map(|rays| rays * u64::from(chains));
+    let [bounce, shadow, emitter] = initial.rays.map(|rays| rays * chains);
     let mut writes = in_place.clone();
-    writes.extend(normals);
+    writes.extend(buffers.normals);
     plan.pass(NewPass::pixels("initial", kernel::INITIAL, writes).rays(
         bounce,
         shadow + count(P::TRACES_INITIAL),
         emitter,
     ));
-    if temporal {
+    if settings.cap > 0 {
         let rays = if still { 0 } else { 2 * count(P::IN_TARGET) + count(P::CONTROL) };
         let pass = NewPass::pixels("temporal", kernel::TEMPORAL, in_place.clone());
         plan.pass(NewPass { runs: Runs::WithHistory, ..pass.rays(0, rays, 0) });
@@ -236,36 +265,32 @@ pub(crate) fn add<R: StoredReservoir, P: Policy>(
         plan.skip("temporal reuse", "the cap is 0");
     }
     if settings.boiling > 0.0 {
-        let writes = record(Place::Reservoirs).collect();
-        let domain = Domain::Tiles {
-            width: boiling::TILE,
-            height: boiling::TILE,
-            grid: Grid::Fixed([0, 0]),
-        };
+        let writes = buffers.at(Some(Place::Reservoirs), None);
+        let grid = Grid::Fixed([0, 0]);
+        let domain = Domain::Tiles { width: boiling::TILE, height: boiling::TILE, grid };
         plan.pass(NewPass { domain, ..NewPass::pixels("boiling", kernel::BOILING, writes) });
     }
-    if mutations > 0 {
-        let rays = u64::from(mutations) * count(P::IN_TARGET) + count(P::KEEPS_OUTCOME);
+    if settings.mutations > 0 {
+        let rays = u64::from(settings.mutations) * count(P::IN_TARGET) + count(P::KEEPS_OUTCOME);
         plan.pass(NewPass::pixels("mutate", kernel::MUTATE, in_place).rays(0, rays, 0));
     }
-    if !spatial {
+    if settings.neighbours == 0 {
         plan.skip("spatial reuse", "no neighbours are asked for");
         let pass = NewPass::pixels("shade", kernel::SHADE, vec![Plan::RADIANCE]);
         plan.pass(pass.rays(0, count(P::SHADES_BY_RAY), 0));
-        return;
+    } else if settings.cap > 0 && mature(settings, still) > 0 {
+        plan.skip("neighbours of pixels with history enough (`mature`)", "nothing moves");
     }
-    for round in (0..rounds).map(|round| Round::new(settings, round)) {
-        let mut writes: Vec<BufferId> = round.to.into_iter().flat_map(record).collect();
-        writes.extend(control(round.controls().1));
+    for round in rounds(settings) {
+        let mut writes = buffers.at(round.to, round.controls().1);
         writes.extend(round.last.then_some(Plan::RADIANCE));
-        let decoupled = round.last && settings.decoupled;
-        let k = u64::from(neighbours);
+        let k = u64::from(settings.neighbours);
         let terms = if P::IN_TARGET {
             shifts(settings.mis, k)
         } else {
-            k * u64::from(P::TRACES_TERMS || decoupled)
+            k * u64::from(P::TRACES_TERMS || (round.last && settings.decoupled))
         };
-        let rays = terms * u64::from(chains) + count(P::SHADES_BY_RAY && round.last);
+        let rays = terms * chains + count(P::SHADES_BY_RAY && round.last);
         let kernel = kernel::SPATIAL + round.number;
         plan.pass(NewPass::pixels("spatial", kernel, writes).rays(0, rays, 0));
     }

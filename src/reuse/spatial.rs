@@ -202,7 +202,7 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
     /// depends on where surfaces were found again, and on no sample.
     #[inline]
     fn is_mature(&self, record: &D::Record) -> bool {
-        let mature = self.settings.mature;
+        let mature = passes::mature(&self.settings, self.domain.frame().plan.still);
         // The canonical sample of this frame counts as one more.
         mature > 0 && record.confidence() > mature as f32
     }

@@ -10,7 +10,7 @@ use super::policy::Policy;
 use super::surfaces::reproject;
 use super::{Control, Domain, InputOf, Reuse, StoredReservoir, input};
 use crate::counters::Counters;
-use crate::math::rng::Purpose;
+use crate::math::rng::{Purpose, Stream};
 use crate::pass::{Band, PrimaryHit};
 use crate::path::finite_or_counted;
 use crate::plan::Plan;
@@ -42,6 +42,16 @@ impl<S: Copy> ShiftMap for Same<S> {
     }
 
     fn stratum(&self, _: &Known<S>) {}
+}
+
+/// One chain of a pixel in this frame, and what it was in the previous one.
+struct Frames<'r, D: Domain> {
+    record: D::Record,
+    receiver: &'r D::Receiver,
+    control: Control,
+    previous: D::Record,
+    receiver_before: &'r D::Receiver,
+    control_before: Control,
 }
 
 impl<D: Domain, P: Policy> Reuse<'_, D, P> {
@@ -141,60 +151,91 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
                     continue;
                 }
                 counters.temporal_merges += 1;
-                let record = records[at];
-                let canonical = input::<D>(&record, &receiver);
-                let past = input::<D>(&previous, before);
-                let mut reservoir = WithRadiance::<WithVisibility<Plain<D::Sample>>>::default();
-                let averages =
-                    [&record, &previous].map(|record| self.policy.average(record.policy_bits()));
-                // V of the previous sample here and now, once it was asked for.
-                let mut past_visible = false;
-                let merged = merge_history(
-                    &mut map,
-                    (self.settings.temporal_mis, self.settings.cap as f32),
-                    &canonical,
-                    &past,
-                    &mut reservoir,
-                    &mut self.stream(pixel, Purpose::Selection, 1, chain),
-                    |term| {
-                        let mut shown = Vec3::ZERO;
-                        if P::CONTROL {
-                            let (integrand, visible) = match &term.shifted {
-                                None => (self.own_integrand(&canonical), controls[at].visible()),
-                                Some(shifted) => {
-                                    past_visible = if inputs.plan.still {
-                                        history_controls[from].visible()
-                                    } else {
-                                        self.look(&receiver, shifted.sample, &mut counters).1
-                                    };
-                                    (shifted.integrand, past_visible)
-                                }
-                            };
-                            if visible {
-                                shown = integrand * term.contribution;
-                            }
-                        }
-                        (((), averages[term.input]), shown)
-                    },
-                );
-                counters.weights_rejected += u64::from(reservoir.rejected());
-                let average = reservoir.inner().visibility();
-                let (age, bits) = self.inherited(&record, &previous, merged.source, average);
+                let mut frames = Frames::<D> {
+                    record: records[at],
+                    receiver: &receiver,
+                    control: Control::default(),
+                    previous,
+                    receiver_before: before,
+                    control_before: Control::default(),
+                };
                 if P::CONTROL {
-                    let confidence = past.finished.confidence.min(self.settings.cap as f32);
-                    let share = confidence / (confidence + canonical.finished.confidence);
-                    let correction = self.correction(share, history_controls[from], &past);
-                    let state = DecoupledState { radiance: reservoir.radiance(), correction };
-                    let estimate =
-                        finite_or_counted(ControlVariate::radiance(&state), &mut counters);
-                    let visible =
-                        if merged.source == 0 { controls[at].visible() } else { past_visible };
-                    controls[at] = Control::new(estimate, visible);
+                    (frames.control, frames.control_before) =
+                        (controls[at], history_controls[from]);
                 }
-                records[at] = D::Record::new(&merged.finished, merged.target, age, bits);
+                let mut random = self.stream(pixel, Purpose::Selection, 1, chain);
+                let (record, control) =
+                    self.merge_frames(&frames, &mut map, &mut random, &mut counters);
+                records[at] = record;
+                if P::CONTROL {
+                    controls[at] = control;
+                }
             }
         }
         counters + D::work(&map)
+    }
+
+    /// Merges one chain of a pixel with what it was one frame ago: the record and the estimate after
+    /// it.
+    #[inline]
+    fn merge_frames(
+        &self,
+        frames: &Frames<'_, D>,
+        map: &mut D::Shift,
+        random: &mut Stream,
+        counters: &mut Counters,
+    ) -> (D::Record, Control) {
+        let still = self.domain.frame().plan.still;
+        let cap = self.settings.cap as f32;
+        let canonical = input::<D>(&frames.record, frames.receiver);
+        let past = input::<D>(&frames.previous, frames.receiver_before);
+        let mut reservoir = WithRadiance::<WithVisibility<Plain<D::Sample>>>::default();
+        let averages = [&frames.record, &frames.previous]
+            .map(|record| self.policy.average(record.policy_bits()));
+        // V of the previous sample here and now, once it was asked for.
+        let mut past_visible = false;
+        let merged = merge_history(
+            map,
+            (self.settings.temporal_mis, cap),
+            &canonical,
+            &past,
+            &mut reservoir,
+            random,
+            |term| {
+                let mut shown = Vec3::ZERO;
+                if P::CONTROL {
+                    let (integrand, visible) = match &term.shifted {
+                        None => (self.own_integrand(&canonical), frames.control.visible()),
+                        Some(shifted) => {
+                            past_visible = if still {
+                                frames.control_before.visible()
+                            } else {
+                                self.look(frames.receiver, shifted.sample, counters).1
+                            };
+                            (shifted.integrand, past_visible)
+                        }
+                    };
+                    if visible {
+                        shown = integrand * term.contribution;
+                    }
+                }
+                (((), averages[term.input]), shown)
+            },
+        );
+        counters.weights_rejected += u64::from(reservoir.rejected());
+        let average = reservoir.inner().visibility();
+        let (age, bits) = self.inherited(&frames.record, &frames.previous, merged.source, average);
+        let mut control = Control::default();
+        if P::CONTROL {
+            let confidence = past.finished.confidence.min(cap);
+            let share = confidence / (confidence + canonical.finished.confidence);
+            let correction = self.correction(share, frames.control_before, &past);
+            let state = DecoupledState { radiance: reservoir.radiance(), correction };
+            let estimate = finite_or_counted(ControlVariate::radiance(&state), counters);
+            let visible = if merged.source == 0 { frames.control.visible() } else { past_visible };
+            control = Control::new(estimate, visible);
+        }
+        (D::Record::new(&merged.finished, merged.target, age, bits), control)
     }
 
     /// a (C̄ − F̃): what the estimate kept with an input corrects. F̃ = F V W is the input's own

@@ -1,4 +1,5 @@
-// Twin of `surface::bsdf` and `surface::material`: lobes in the local frame, directions pointing away from the surface.
+// Twin of `surface::bsdf` and `surface::material`: lobes in the local frame, directions pointing
+// away from the surface.
 
 const DIFFUSE: u32 = 0u;
 const DIFFUSE_TRANSMISSION: u32 = 1u;
@@ -181,8 +182,9 @@ fn rough_reflectance(part: Part, mu: f32) -> f32 {
 
 // --- Materials to lobes
 
-// A material's words: its kind, the number of its parameters, eight words of its own, four a parameter. A parameter is NONE and three numbers, or a
-// texture's program and a channel (RGB: all three). They are evaluated in one loop, so that the interpreter of textures stands here once.
+// A material's words: its kind, the number of its parameters, eight words of its own, four a
+// parameter. A parameter is NONE and three numbers, or a texture's program and a channel (RGB: all
+// three). They are evaluated in one loop, so that the interpreter of textures stands here once.
 const MATERIAL_HEAD: u32 = 10u;
 const PARAMETERS: u32 = 6u;
 const RGB: u32 = 5u;
@@ -282,7 +284,8 @@ fn part_at(material: u32, uv: vec2f) -> Part {
             // a: the base; p: its strength inside
             part.eta = max(float_word(own), 1.0);
             with_alpha(&part, alpha_of(p[1], p[2], words[own + 1u]));
-            // Of the table: rows of the lower index, of the higher, the first row's number, the weight of the higher index.
+            // Of the table: rows of the lower index, of the higher, the first row's number, the
+            // weight of the higher index.
             let mean_alpha = select(sqrt(part.alpha.x * part.alpha.y), 0.0, part.smooth_);
             let x = sqrt(sqrt(min(mean_alpha, 1.0))) * f32(TABLE_NODES - 1u);
             let cell = min(u32(x), TABLE_NODES - 2u);
@@ -308,7 +311,8 @@ fn part_at(material: u32, uv: vec2f) -> Part {
         //#endif
         default: {
             //#if HAS_METALLIC
-            // a: reflectance; b: edge; c: diffuse; s: strengths; (p, q): passed and its edge; weights: transmission
+            // a: reflectance; b: edge; c: diffuse; s: strengths; (p, q): passed and its edge;
+            // weights: transmission
             let base = albedo_of(p[0]);
             let metal = share_of(p[1]);
             let roughness = share_of(p[2]);

@@ -18,6 +18,7 @@ use crate::counters::Counters;
 use crate::error::{Error, Result, suggest};
 use crate::pass::{Band, FrameInputs};
 use crate::plan::{BufferPlan, Plan, SceneFacts, Shot};
+pub use crate::twin::Twin;
 
 /// A rendering method.
 ///
@@ -53,19 +54,6 @@ pub trait Technique: fmt::Debug + Send + Sync {
     fn describe(&self, _buffer: &BufferPlan, _element: &[u32]) -> Vec<(&'static str, String)> {
         Vec::new()
     }
-}
-
-/// A kernel in WGSL: plain data.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Twin {
-    /// The entry point, with workgroups of 8 × 8 over pixels, of 256 over items, of a tile over tiles.
-    pub entry: &'static str,
-    /// What it is made of, beside the modules that all kernels share.
-    pub modules: Vec<&'static str>,
-    /// Values of its pipeline-overridable constants; truths are 0 and 1. `//#if` may ask for them.
-    pub constants: Vec<(&'static str, f64)>,
-    /// What else `//#if` may ask for.
-    pub flags: Vec<(&'static str, f64)>,
 }
 
 /// A line of the [`REGISTRY`].

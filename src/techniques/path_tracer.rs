@@ -236,13 +236,13 @@ impl Technique for PathTracer {
             LightSampling::All => sampled::ALL,
         };
         Some(Twin {
-            entry: "paths",
-            modules: vec![include_str!("path_tracer.wgsl")],
-            flags: Vec::new(),
+            kernel: "paths",
+            modules: vec![crate::wgsl!("path_tracer.wgsl")],
             constants: vec![
                 ("SAMPLED", f64::from(sampled)),
                 ("ROULETTE_AFTER", f64::from(self.roulette_after)),
             ],
+            ..Twin::default()
         })
     }
 

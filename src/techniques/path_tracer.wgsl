@@ -3,17 +3,13 @@
 override SAMPLED: u32 = 1u;
 override ROULETTE_AFTER: u32 = 5u;
 
-@compute @workgroup_size(8, 8)
-fn paths(@builtin(global_invocation_id) id: vec3<u32>) {
-    if id.x >= inputs.size.x || id.y >= inputs.size.y {
-        return;
-    }
-    let pixel = id.y * inputs.size.x + id.x;
+fn paths(pixel: u32, x: u32, y: u32) {
     let box_filter = inputs.box_filter != 0u;
+    let estimates = estimates_of(x, y);
     var sum = vec3f(0.0);
     var seen = vec3f(0.0);
-    for (var sample = 0u; sample < inputs.effort; sample++) {
-        let ray = camera_ray(inputs.camera, sample_position(inputs.frame, id.x, id.y, sample));
+    for (var sample = 0u; sample < estimates; sample++) {
+        let ray = camera_ray(inputs.camera, sample_position(inputs.frame, x, y, sample));
         var hit: Hit;
         if box_filter {
             count(PRIMARY_RAYS, 1u);
@@ -31,10 +27,9 @@ fn paths(@builtin(global_invocation_id) id: vec3<u32>) {
             sum += finite_or_counted(walk(seed, ray.direction, hit, ROULETTE_AFTER, SAMPLED, true));
         }
     }
-    let mean = 1.0 / f32(inputs.effort);
+    let mean = 1.0 / f32(estimates);
     write_vector(buffer_now(RADIANCE) + pixel * 3u, sum * mean);
     if box_filter {
         write_vector(buffer_now(EMISSION) + pixel * 3u, seen * mean);
     }
-    finish_counting();
 }

@@ -87,7 +87,8 @@ fn random_numbers_are_the_same_bits() {
         assert_eq!(f[23..25], split(PathSeeds::new(seed, v[2], v[3]).seed(v[4])), "{i}");
         let u = f64::from(v[8]) * (1.0 / 4_294_967_296.0);
         let here = u * f64::from(float(v[7])) < f64::from(float(v[6]));
-        // The product of 32 and 24 bits does not fit 53: where it is rounded to the weight itself, either answer is right.
+        // The product of 32 and 24 bits does not fit 53: where it is rounded to the weight itself,
+        // either answer is right.
         if u * f64::from(float(v[7])) == f64::from(float(v[6])) {
             undecided += 1;
         } else {

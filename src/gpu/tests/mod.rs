@@ -1,6 +1,7 @@
 //! Every WGSL function against its Rust twin, on a device; what the modules look like, without one.
 //!
-//! Where no adapter is, tests of the first kind say so and pass; under `AFTERIMAGE_REQUIRE_GPU=1` they fail instead.
+//! Where no adapter is, tests of the first kind say so and pass; under `AFTERIMAGE_REQUIRE_GPU=1`
+//! they fail instead.
 
 mod functions;
 mod modules;
@@ -8,11 +9,13 @@ mod scene;
 
 use std::sync::{Arc, OnceLock};
 
-use super::{Gpu, Inputs, Kernel, SceneBuffers};
+use super::compose::Composed;
+use super::{Gpu, Inputs, Kernel, Lanes, SceneBuffers};
 use crate::math::rng::{RandomSource, Stream};
 use crate::resampling::RESAMPLING_WGSL;
-use crate::reuse::light_points::{DIRECT_WGSL, VISIBILITY_WGSL};
+use crate::reuse::{CONTROL_WGSL, STORED_WGSL, WIS_WGSL};
 use crate::scene::Scene;
+use crate::twin::{Module, Twin};
 use crate::world::World;
 
 /// Inputs of a function under test.
@@ -42,7 +45,8 @@ fn empty() -> Arc<World> {
     world.clone()
 }
 
-/// Runs `fn test(i: u32)`, given as WGSL, for `inputs.len() / width` numbers. It reads `input(i, k)` and calls `output(i, k, word)`, k < `out`.
+/// Runs `fn test(i: u32)`, given as WGSL, for `inputs.len() / width` numbers. It reads `input(i,
+/// k)` and calls `output(i, k, word)`, k < `out`.
 fn run(
     gpu: &Arc<Gpu>,
     world: &Arc<World>,
@@ -76,40 +80,17 @@ fn run_changed(
          fn output_vector(i: u32, k: u32, v: vec3f) {{
              output_float(i, k, v.x); output_float(i, k + 1u, v.y); output_float(i, k + 2u, v.z);
          }}
-         {body}
-         @compute @workgroup_size(64)
-         fn test_all(@builtin(global_invocation_id) id: vec3<u32>) {{
-             if id.x < inputs.items {{ test(id.x); }}
-         }}",
+         {body}",
         inputs.len()
     );
-    let harness: &'static str = Box::leak(harness.into_boxed_str());
-    let own = [RESAMPLING_WGSL, VISIBILITY_WGSL, DIRECT_WGSL, harness];
-    let kernel = Kernel::new("test_all", &own, (&[], &[]), scene.constants());
-    let source = change(kernel.source().unwrap());
-    let module = gpu
-        .guarded("a module under test", || {
-            gpu.device().create_shader_module(wgpu::ShaderModuleDescriptor {
-                label: Some("test"),
-                source: wgpu::ShaderSource::Wgsl(source.into()),
-            })
-        })
-        .unwrap();
-    let pipeline = gpu
-        .guarded("a kernel under test", || {
-            gpu.device().create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-                label: Some("test"),
-                layout: Some(&gpu.pipeline_layout),
-                module: &module,
-                entry_point: Some("test_all"),
-                compilation_options: wgpu::PipelineCompilationOptions {
-                    constants: &kernel.constants,
-                    ..Default::default()
-                },
-                cache: None,
-            })
-        })
-        .unwrap();
+    let harness = Module { name: "the harness", text: Box::leak(harness.into_boxed_str()) };
+    let modules = vec![RESAMPLING_WGSL, STORED_WGSL, WIS_WGSL, CONTROL_WGSL, harness];
+    let twin = Twin { kernel: "test", modules, ..Twin::default() };
+    let lanes = Lanes::Items(count as u32);
+    let kernel = Kernel::new(&twin, lanes, scene.constants());
+    let composed = kernel.compose().unwrap();
+    let composed = Composed { text: change(composed.text.clone()), ..composed };
+    let pipeline = gpu.compile("test", &composed, &kernel.constants).unwrap();
     let copied = Usage::STORAGE | Usage::COPY_SRC | Usage::COPY_DST;
     let bytes = 4 * (inputs.len() + count * out) as u64;
     let state = gpu.buffer("state", bytes, copied).unwrap();
@@ -117,7 +98,7 @@ fn run_changed(
     let counters = gpu.buffer("counters", 256, copied).unwrap();
     let uniform =
         gpu.buffer("inputs", size_of::<Inputs>() as u64, Usage::UNIFORM | Usage::COPY_DST).unwrap();
-    let mut frame = Inputs { items: count as u32, size: [64, 64], effort: 1, ..Inputs::default() };
+    let mut frame = Inputs { size: [64, 64], effort: 1, ..Inputs::default() };
     scene.describe(&mut frame);
     gpu.queue().write_buffer(&uniform, 0, bytemuck::bytes_of(&frame));
     let staging =
@@ -128,7 +109,7 @@ fn run_changed(
         let mut pass = encoder.begin_compute_pass(&Default::default());
         pass.set_pipeline(&pipeline);
         pass.set_bind_group(0, &bindings, &[]);
-        pass.dispatch_workgroups((count as u32).div_ceil(64), 1, 1);
+        pass.dispatch_workgroups(kernel.groups([64, 64])[0], 1, 1);
     }
     let first = 4 * inputs.len() as u64;
     encoder.copy_buffer_to_buffer(&state, first, &staging, 0, Some(4 * (count * out) as u64));

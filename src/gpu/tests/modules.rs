@@ -1,24 +1,55 @@
-//! What the modules look like: validity for every plan, layouts, numbers of bindings. Needs no device.
+//! What the modules look like: validity for every plan, layouts, numbers of bindings. Needs no
+//! device.
 
 use std::mem::offset_of;
 
+use super::super::compose::Composed;
+use super::super::entry::ENTRY;
 use super::super::shader::{SceneConstants, wgsl};
 use super::super::upload::{CameraRecord, Inputs, ProjectionRecord, WorldRecord};
-use super::super::{Kernel, STORAGE_BUFFERS};
-use crate::frame::gpu::twins;
+use super::super::{Kernel, Lanes, STORAGE_BUFFERS};
+use crate::frame::gpu::{lanes, twins};
 use crate::plan::{Filter, SceneFacts, Shot};
 use crate::scene::generate;
 use crate::techniques::{Entry, REGISTRY, parse};
+use crate::twin::Module;
 use crate::world::World;
 
 fn parsed(source: &str) -> Result<naga::Module, String> {
     let module = naga::front::wgsl::parse_str(source).map_err(|e| e.emit_to_string(source))?;
-    // No capability beyond what every device has.
-    let mut validator = naga::valid::Validator::new(
+    validator().validate(&module).map_err(|e| e.emit_to_string(source))?;
+    Ok(module)
+}
+
+/// No capability beyond what every device has.
+fn validator() -> naga::valid::Validator {
+    naga::valid::Validator::new(
         naga::valid::ValidationFlags::all(),
         naga::valid::Capabilities::empty(),
-    );
-    validator.validate(&module).map_err(|e| e.emit_to_string(source))?;
+    )
+}
+
+/// As [`parsed`], and with the kernel's constants in their places; an error begins with the
+/// module's file and line.
+fn valid(composed: &Composed, constants: &[(&str, f64)]) -> Result<naga::Module, String> {
+    let source = &composed.text;
+    let at = |place: Option<naga::SourceLocation>, text: String| match place {
+        Some(place) => format!("{}: {text}", composed.place(place.line_number as usize)),
+        None => text,
+    };
+    let module = naga::front::wgsl::parse_str(source)
+        .map_err(|e| at(e.location(source), e.emit_to_string(source)))?;
+    let info = validator()
+        .validate(&module)
+        .map_err(|e| at(e.location(source), e.emit_to_string(source)))?;
+    let constants = constants.iter().map(|(name, value)| (name.to_string(), *value)).collect();
+    let entry = (naga::ShaderStage::Compute, ENTRY);
+    naga::back::pipeline_constants::process_overrides(&module, &info, Some(entry), &constants)
+        .map_err(|e| {
+            let reasons = std::iter::successors(Some(&e as &dyn std::error::Error), |e| e.source());
+            let reasons: Vec<String> = reasons.map(ToString::to_string).collect();
+            format!("with its constants: {}", reasons.join(": "))
+        })?;
     Ok(module)
 }
 
@@ -121,17 +152,19 @@ fn kernels_are_valid_whatever_one_thing_a_scene_has_or_lacks() {
     for spec in ["nee", "restir-di", "restir-di:visibility=wis-cv,mutations=1"] {
         let technique = parse(spec).unwrap();
         let plan = technique.plan(facts, &shot);
-        for twin in twins(&*technique, &plan).unwrap() {
+        for (pass, twin) in plan.passes.iter().zip(twins(&*technique, &plan).unwrap()) {
             for scene in one_of_each() {
-                let how = (&twin.constants[..], &twin.flags[..]);
-                let source = Kernel::new(twin.entry, &twin.modules, how, &scene).source().unwrap();
-                parsed(&source).unwrap_or_else(|e| panic!("`{}`, {scene:?}: {e}", twin.entry));
+                let kernel = Kernel::new(&twin, lanes(pass.domain), &scene);
+                let composed = kernel.compose().unwrap();
+                valid(&composed, &kernel.constants)
+                    .unwrap_or_else(|e| panic!("`{}`, {scene:?}: {e}", twin.kernel));
             }
         }
     }
 }
 
-/// Every kernel of every plan, for scenes with everything and with little, is valid and binds no more than every device can.
+/// Every kernel of every plan, for scenes with everything and with little, is valid and binds no
+/// more than every device can.
 #[test]
 fn every_kernel_of_every_plan_is_valid() {
     let mut kernels = std::collections::BTreeMap::new();
@@ -141,34 +174,37 @@ fn every_kernel_of_every_plan_is_valid() {
                 let technique = parse(&spec).unwrap();
                 let shot = Shot { size: [64, 64], depth: 3, filter, run: 1, effort: 1.0, fps: 30 };
                 let plan = technique.plan(&facts, &shot);
-                for twin in twins(&*technique, &plan).expect("every built-in technique has twins") {
+                let twins = twins(&*technique, &plan).expect("every built-in technique has twins");
+                for (pass, twin) in plan.passes.iter().zip(twins) {
                     for scene in [EVERYTHING, LITTLE] {
-                        let how = (&twin.constants[..], &twin.flags[..]);
-                        let kernel = Kernel::new(twin.entry, &twin.modules, how, &scene);
-                        let constants = kernel.constants.clone();
-                        kernels.entry(kernel.source().unwrap()).or_insert((
-                            twin.entry,
-                            spec.clone(),
-                            constants,
-                        ));
+                        let kernel = Kernel::new(&twin, lanes(pass.domain), &scene);
+                        let composed = kernel.compose().unwrap_or_else(|e| panic!("{spec}: {e}"));
+                        let text = composed.text.clone();
+                        kernels.entry(text).or_insert((kernel, spec.clone(), composed));
                     }
                 }
             }
         }
     }
     assert!(kernels.len() > 40, "{}", kernels.len());
-    for (source, (entry, spec, constants)) in &kernels {
-        let module = parsed(source).unwrap_or_else(|e| panic!("`{entry}` of {spec}: {e}"));
-        assert!(module.entry_points.iter().any(|e| e.name == *entry), "{spec}: no {entry}");
+    for (kernel, spec, composed) in kernels.values() {
+        let Kernel { name, constants, .. } = kernel;
+        let module =
+            valid(composed, constants).unwrap_or_else(|e| panic!("`{name}` of {spec}: {e}"));
+        let [entry] = &module.entry_points[..] else { panic!("`{name}` of {spec}") };
+        assert_eq!(entry.name, ENTRY);
         let bound = storage_buffers(&module);
         assert!(
             bound <= STORAGE_BUFFERS as usize,
-            "`{entry}` of {spec} binds {bound} storage buffers"
+            "`{name}` of {spec} binds {bound} storage buffers"
         );
         // A constant that no module declares would be an error of the device, later.
-        for (name, _) in constants {
-            let known = module.overrides.iter().any(|(_, o)| o.name.as_deref() == Some(*name));
-            assert!(known, "`{entry}` of {spec}: no override is called {name}");
+        for (constant, _) in constants {
+            let mut known = module.overrides.iter().map(|(_, o)| o.name.as_deref());
+            assert!(
+                known.any(|known| known == Some(*constant)),
+                "`{name}` of {spec}: no override is called {constant}"
+            );
         }
     }
 }
@@ -198,7 +234,7 @@ fn layouts(source: &str) -> Vec<(&'static str, Layout, Layout)> {
                 remap,
                 instances,
                 srgb,
-                items,
+                extra_share,
                 camera,
                 camera_before,
                 projection,
@@ -261,30 +297,81 @@ fn mismatches(source: &str) -> Vec<&'static str> {
         .collect()
 }
 
-fn plain() -> String {
-    Kernel::new("primary_hits", &[], (&[], &[]), &EVERYTHING).source().unwrap()
+/// The loop's own kernel.
+fn plain() -> Composed {
+    planted(|_| None).unwrap()
+}
+
+/// The loop's own kernel, with another text of its module where `change` gives one.
+fn planted(mut change: impl FnMut(&str) -> Option<String>) -> crate::error::Result<Composed> {
+    let technique = parse("nee").unwrap();
+    let shot =
+        Shot { size: [64, 64], depth: 3, filter: Filter::Point, run: 1, effort: 1.0, fps: 30 };
+    let plan = technique.plan(&facts()[0], &shot);
+    let mut twin = twins(&*technique, &plan).unwrap().swap_remove(0);
+    if let Some(text) = change(twin.modules[0].text) {
+        twin.modules[0].text = Box::leak(text.into_boxed_str());
+    }
+    Kernel::new(&twin, Lanes::Pixels, &EVERYTHING).compose()
+}
+
+/// The control: an error in a module's text is reported at the module's own line, by the test of
+/// all modules and by a device.
+#[test]
+fn errors_name_a_modules_file_and_line() {
+    let line = |text: &str, part: &str| {
+        1 + text.lines().position(|line| line.contains(part)).unwrap_or_else(|| panic!("{part}"))
+    };
+    for (right, wrong, said) in [
+        (
+            "    let hit = closest_hit(NOW, ray);",
+            "    let hit = closest_it(NOW, ray);",
+            "closest_it",
+        ),
+        ("    count(PRIMARY_RAYS, 1u);", "    count(PRIMARY_RAYS, 1.0);", "convert"),
+        ("    write_hit(pixel, hit);", "    write_hit(pixel hit);", "expected"),
+    ] {
+        let mut number = 0;
+        let composed = planted(|text| {
+            number = line(text, right);
+            Some(text.replace(right, wrong))
+        })
+        .unwrap();
+        let place = format!("src/frame/primary_hits.wgsl:{number}: ");
+        let error = valid(&composed, &[]).unwrap_err();
+        assert!(error.starts_with(&place) && error.contains(said), "{place}: {error}");
+        let Some(gpu) = super::device() else { continue };
+        let error = gpu.compile("planted", &composed, &[]).unwrap_err().to_string();
+        let wanted = format!("kernel `planted`: {place}`{}`: ", wrong.trim());
+        assert!(error.contains(&wanted) && error.contains(said), "{wanted}: {error}");
+    }
+    let directive = planted(|text| Some(format!("{text}//#if NO_SUCH\n//#endif\n")));
+    let error = directive.unwrap_err().to_string();
+    let number = include_str!("../../frame/primary_hits.wgsl").lines().count() + 1;
+    let wanted = format!("primary_hits.wgsl:{number}: no constant or flag is called `NO_SUCH`");
+    assert!(error.contains(&wanted), "{error}");
 }
 
 #[test]
 fn structures_have_the_same_layout_on_both_sides() {
-    assert_eq!(mismatches(&plain()), Vec::<&str>::new());
+    assert_eq!(mismatches(&plain().text), Vec::<&str>::new());
 }
 
 /// The control: two fields of the same type change places.
 #[test]
 fn a_swapped_field_is_found() {
-    let swapped = plain().replace(
+    let swapped = plain().text.replace(
         "    alias_slots: u32,\n    alias_count: u32,\n",
         "    alias_count: u32,\n    alias_slots: u32,\n",
     );
-    assert_ne!(swapped, plain());
+    assert_ne!(swapped, plain().text);
     assert_eq!(mismatches(&swapped), ["World"]);
 }
 
 /// The control: a ninth storage buffer is counted, and no device takes the kernel.
 #[test]
 fn a_ninth_storage_buffer_is_found() {
-    let mut source = plain();
+    let mut source = plain().text;
     for binding in 7..10 {
         source.push_str(&format!(
             "@group(0) @binding({binding}) var<storage, read_write> more_{binding}: array<u32>;\n"
@@ -331,19 +418,22 @@ fn public_modules_compile_with_a_stub_of_a_host() {
     parsed(&format!("{}{}", wgsl::RNG, wgsl::RESAMPLING)).unwrap();
     let stub = "
     struct Sample { x: f32 }
-    struct Carried { visibility: f32, radiance: vec3f }
-    fn input_finished(input: u32) -> Finished { return Finished(Sample(0.5), 1.0, 1.0); }
-    fn input_target(input: u32) -> f32 { return 1.0; }
-    fn shift(sample: Sample, origin: u32, destination: u32) -> Shifted {
+    struct Merge { confidence: f32 }
+    fn input_finished(m: ptr<function, Merge>, input: u32) -> Finished {
+        return Finished(Sample(0.5), 1.0, (*m).confidence);
+    }
+    fn input_target(m: ptr<function, Merge>, input: u32) -> f32 { return 1.0; }
+    fn shift(m: ptr<function, Merge>, sample: Sample, origin: u32, destination: u32) -> Shifted {
         return Shifted(sample, vec3f(1.0), 1.0, true);
     }
     fn target_of(integrand: vec3f) -> f32 { return integrand.x; }
-    fn carry(term: Term) -> Carried { return Carried(1.0, vec3f(0.0)); }
+    fn carry(m: ptr<function, Merge>, term: Term) -> Carried { return Carried(1.0, vec3f(0.0)); }
     @compute @workgroup_size(1)
     fn host() {
         var r = reservoir_new();
         var random = stream_from_key(vec2<u32>(1u, 2u));
-        let merged = merge(FAMILY_DEFENSIVE, 2u, &r, &random);
+        var m = Merge(1.0);
+        let merged = merge(&m, FAMILY_DEFENSIVE, 2u, &r, &random);
     }";
     parsed(&[wgsl::RNG, wgsl::RESAMPLING, wgsl::MERGE, wgsl::VISIBILITY, stub].concat()).unwrap();
 }
@@ -351,21 +441,72 @@ fn public_modules_compile_with_a_stub_of_a_host() {
 /// Directives drop what constants say, keep what is not known, and leave texts valid.
 #[test]
 fn directives_select_lines() {
-    let text = "a\n//#if X\nb\n//#else\nc\n//#endif\n//#if Y=2|3\nd\n//#endif\n//#if !X\ne\n//#if Z\nf\n//#endif\n//#endif\n";
+    const TEXT: &str = "a
+//#if X
+b
+//#else
+c
+//#endif
+//#if Y=2|THREE
+d
+//#endif
+//#if !X
+e
+//#if Z
+f
+//#endif
+//#endif
+//#region
+";
+    const DECLARED: &str = "override X: bool = true;\noverride Y: u32 = 1u;\noverride Z: bool = true;\nconst THREE: u32 = 3u;\n";
+    let compose = |text: &'static str, pairs: &[(&str, f64)]| {
+        let modules = [Module { name: "some/text.wgsl", text }];
+        Composed::new(DECLARED, &modules, &pairs.iter().copied().collect())
+    };
     let select = |pairs: &[(&str, f64)]| {
-        let mut out = String::new();
-        super::super::shader::select(text, &pairs.iter().copied().collect(), &mut out).unwrap();
-        out.replace('\n', "")
+        let composed = compose(TEXT, pairs).unwrap();
+        composed.text.lines().skip(4).collect::<Vec<_>>().concat()
     };
-    assert_eq!(select(&[("X", 1.0), ("Y", 3.0)]), "abd");
-    assert_eq!(select(&[("X", 0.0), ("Y", 1.0), ("Z", 1.0)]), "acef");
-    assert_eq!(select(&[]), "abcdef");
-    let refused = |text: &str| {
-        super::super::shader::select(text, &Default::default(), &mut String::new()).unwrap_err()
+    assert_eq!(select(&[("X", 1.0), ("Y", 3.0)]), "abd//#region");
+    assert_eq!(select(&[("X", 0.0), ("Y", 1.0), ("Z", 1.0)]), "acef//#region");
+    assert_eq!(select(&[]), "abcdef//#region");
+    assert_eq!(compose(TEXT, &[("X", 1.0)]).unwrap().place(6), "some/text.wgsl:3");
+    assert!(compose(TEXT, &[]).unwrap().place(1).contains("the composer"));
+    for (text, wanted) in [
+        ("a\n//#endif\n", "some/text.wgsl:2: an #endif without an #if"),
+        ("//#if X\n", "some/text.wgsl:1: an #if has no #endif"),
+        ("a\n\n//#if Q\n//#endif\n", "some/text.wgsl:3: no constant or flag is called `Q`"),
+        ("//#if Y=FOUR\n//#endif\n", "some/text.wgsl:1: no constant is called `FOUR`"),
+    ] {
+        assert_eq!(compose(text, &[]).unwrap_err(), wanted);
+    }
+}
+
+/// Numbers that stand on both sides, where a part must compile alone, are the same.
+#[test]
+fn numbers_on_both_sides_are_the_same() {
+    use crate::math::rng::Purpose;
+    use crate::resampling::Family;
+    let declares = |text: &str, name: &str, number: usize| {
+        let line = format!("const {name}: u32 = {number}u;");
+        assert!(text.lines().any(|l| l == line), "no line `{line}`");
     };
-    assert!(refused("a\n//#endif\n").contains("line 2: an #endif without an #if"));
-    assert!(refused("//#if X\n").contains("no #endif"));
-    let mut out = String::new();
-    super::super::shader::select("//#region\n", &Default::default(), &mut out).unwrap();
-    assert_eq!(out, "//#region\n");
+    for (number, family) in Family::ALL.iter().enumerate() {
+        let name = family.name().to_uppercase().replace('-', "_");
+        declares(wgsl::RESAMPLING, &format!("FAMILY_{name}"), number);
+    }
+    for (name, purpose) in [
+        ("PATH_SEED", Purpose::PathSeed),
+        ("JITTER", Purpose::Jitter),
+        ("SELECTION", Purpose::Selection),
+        ("TEMPORAL_ROUNDING", Purpose::TemporalRounding),
+        ("NEIGHBOURS", Purpose::Neighbours),
+        ("MUTATION", Purpose::Mutation),
+        ("TILE_MASK", Purpose::TileMask),
+        ("LIGHT_TILE", Purpose::LightTile),
+        ("TAPS", Purpose::Taps),
+        ("EFFORT", Purpose::Effort),
+    ] {
+        declares(wgsl::RNG, &format!("PURPOSE_{name}"), purpose as usize);
+    }
 }

@@ -1,4 +1,5 @@
-//! Functions of a scene: rays, textures, materials, lights, environments. The scene has every kind of each.
+//! Functions of a scene: rays, textures, materials, lights, environments. The scene has every kind
+//! of each.
 
 use std::sync::Arc;
 
@@ -23,7 +24,8 @@ fn image(width: u32, height: u32, data: ImageData) -> Image {
 
 /// One of each.
 ///
-/// Coverage between 0 and 1 is a coin that hashes the ray's bits, so backends, whose last bits differ, throw different ones: `coins` has one such surface.
+/// Coverage between 0 and 1 is a coin that hashes the ray's bits, so backends, whose last bits
+/// differ, throw different ones: `coins` has one such surface.
 fn scene(coins: bool) -> Scene {
     let mut random = Stream::from_key(77);
     let mut scene = Scene::new("one of each");
@@ -283,7 +285,8 @@ fn rays() -> (Vec<u32>, Vec<Ray>) {
     (inputs, rays)
 }
 
-/// Rays meet the same primitives, but for those that graze an edge or whose end lies within rounding of a surface; what is there agrees.
+/// Rays meet the same primitives, but for those that graze an edge or whose end lies within
+/// rounding of a surface; what is there agrees.
 #[test]
 fn hits_and_what_is_there_agree() {
     let Some(gpu) = device() else { return };
@@ -369,11 +372,13 @@ fn hits_and_what_is_there_agree() {
     }
 }
 
-/// Rays that leave a surface never meet it again, and shadow rays between two surfaces meet neither.
+/// Rays that leave a surface never meet it again, and shadow rays between two surfaces meet
+/// neither.
 #[test]
 fn no_ray_meets_the_surface_that_it_leaves() {
     let Some(gpu) = device() else { return };
-    // A closed room at several scales, and spheres: every ray that leaves one of its own surfaces hits another wall.
+    // A closed room at several scales, and spheres: every ray that leaves one of its own surfaces
+    // hits another wall.
     for power in [-12, 0, 12] {
         let scale = f32::from(power as i16).exp2();
         let mut scene = Scene::new("room");
@@ -424,7 +429,8 @@ fn no_ray_meets_the_surface_that_it_leaves() {
             selfish += usize::from(f[0] == f[1]);
             blocked += usize::from(f[3] != 0);
         }
-        // In a convex corner a grazing ray may pass between two walls' bounds; from the sphere none comes back.
+        // In a convex corner a grazing ray may pass between two walls' bounds; from the sphere none
+        // comes back.
         assert!(escaped <= N / 1000, "2^{power}: {escaped} of {N} rays left the room");
         assert!(selfish == 0, "2^{power}: {selfish} of {N} rays met the surface that they left");
         assert!(blocked <= N / 1000, "2^{power}: {blocked} of {N} shadow rays met an end");
@@ -605,7 +611,8 @@ fn textures_agree() {
         let far = if i % 50 == 0 { 1e6 } else { 4.0 };
         inputs.extend(bits(&[(random.uniform() - 0.5) * far, (random.uniform() - 0.5) * far]));
     }
-    // Lights hold colours and coverage: emission of each surface, its share that is sent, and coverage's coin.
+    // Lights hold colours and coverage: emission of each surface, its share that is sent, and
+    // coverage's coin.
     let lights = world.lights.len() as u32;
     let body = format!(
         "fn test(i: u32) {{
@@ -704,13 +711,15 @@ fn lights_agree() {
         for k in 0..6 {
             close(&format!("emitter {k} {name}"), float(f[3 + k]), float(words[k]), 1e-3, 1.0);
         }
-        // At the edge of a checkerboard's square a point shows either colour; at a sphere's pole any column of a texture.
+        // At the edge of a checkerboard's square a point shows either colour; at a sphere's pole
+        // any column of a texture.
         if (6..9).any(|k| (float(f[3 + k]) - float(words[k])).abs() > 1e-3) {
             edges += u32::from((1e-6..1.0 - 1e-6).contains(&u.x));
             continue;
         }
         assert_eq!(f[12], words[9], "{name}");
-        // On the border of a texel either side's density is right; a third of the numbers lie on borders.
+        // On the border of a texel either side's density is right; a third of the numbers lie on
+        // borders.
         if (float(f[21]) / lights.measure(point) - 1.0).abs() > 2e-3 {
             assert!(words[9] == 5 && (u * 8.0).fract().abs().min_element() < 1e-3, "{name}");
             continue;

@@ -21,12 +21,7 @@ mod receiver;
 mod record;
 #[cfg(test)]
 mod tests;
-
-/// [`Reused`](super::Reused), [`Control`](super::Control) and averages of visibility in WGSL; needs nothing.
-pub const VISIBILITY_WGSL: &str = include_str!("visibility.wgsl");
-
-/// All of this module in WGSL; needs the scene's.
-pub(crate) const DIRECT_WGSL: &str = include_str!("direct.wgsl");
+pub(crate) mod twin;
 
 pub(crate) use candidates::TILE;
 pub use candidates::{Candidates, Chosen, TileEntry, candidates, fill_tile};

@@ -173,8 +173,8 @@ pub struct RestirDi {
     pub mis: Family,
     /// What becomes of the spatial result.
     pub spatial: SpatialUse,
-    /// Frames of history from which a pixel takes nothing from its neighbours, in [0, 250]; 0: every
-    /// pixel always takes.
+    /// Where nothing moves, frames of history from which a pixel takes nothing from its neighbours, in
+    /// [0, 250]; 0: every pixel always takes.
     pub mature: u32,
     /// What is done with shadow rays. Visibility in the target is the default: of all policies it had the least relmse times time on
     /// `penumbra` and `many-lights:1000` (`docs/results.md`).
@@ -211,11 +211,11 @@ impl Default for RestirDi {
             temporal_mis: Family::Balance,
             neighbours: 1,
             radius: 16.0,
-            taps: Taps::Random,
+            taps: Taps::Xor,
             rounds: 1,
             mis: Family::DefensivePairwise,
             spatial: SpatialUse::Feedback,
-            mature: 0,
+            mature: 8,
             visibility: Visibility::InTarget,
             visibility_age: REUSE_AGE,
             visibility_distance: REUSE_DISTANCE,
@@ -408,15 +408,7 @@ impl Technique for RestirDi {
     }
 
     fn twin(&self, kernel: u32, plan: &Plan) -> Option<Twin> {
-        // The twins know one chain of a pixel, random taps and a spatial result that is kept.
-        let one_chain = plan
-            .id(Keys::<Record>::RESERVOIRS)
-            .is_none_or(|id| plan.buffers[id.0].bytes as usize == size_of::<Record>());
-        let known = self.taps == Taps::Random
-            && self.spatial == SpatialUse::Feedback
-            && self.mature == 0
-            && one_chain;
-        known.then(|| self.kernel_twin(kernel, plan))
+        Some(self.kernel_twin(kernel, plan))
     }
 
     fn describe(&self, buffer: &BufferPlan, element: &[u32]) -> Vec<(&'static str, String)> {

@@ -30,6 +30,11 @@ pub(super) const RUNGS: &[Rung] = &[
     Rung::new("moving, visibility wis-cv", "visibility=wis-cv", Moving::All),
     Rung::new("decoupled", "decoupled=true", Moving::Still),
     Rung::new("two rounds", "rounds=2", Moving::Still),
+    Rung::new("every pixel", "mature=0", Moving::Still),
+    Rung::new("moving, every pixel", "mature=0", Moving::All),
+    Rung::new("own taps", "taps=random,mature=0", Moving::Still),
+    Rung::new("shown only", "spatial=display,mature=0", Moving::Still),
+    Rung::new("moving, shown only", "spatial=display,mature=0", Moving::All),
 ];
 
 /// Every policy with and without its companions, every family of MIS weights, every filter.
@@ -47,6 +52,9 @@ pub(super) fn variants() -> Vec<String> {
         all.push(format!("mis={family},temporal-mis={family},neighbours=3"));
     }
     all.push("cap=0".to_string());
+    all.push("taps=xor,neighbours=3".to_string());
+    all.push("spatial=display,rounds=2".to_string());
+    all.push("taps=random,mature=4".to_string());
     all.push("visibility=reuse,boiling=0.2,max-age=60".to_string());
     all.push("tiles=on,boiling=0.5".to_string());
     all
