@@ -100,6 +100,13 @@ pub struct CandidateSight {
     pub seen: bool,
 }
 
+impl Default for Inspection {
+    /// Eight samples of the first frame's upper left pixel.
+    fn default() -> Self {
+        Self { pixel: [0, 0], frame: 1, samples: 8 }
+    }
+}
+
 impl Inspection {
     /// Looks at the pixel with a technique.
     ///

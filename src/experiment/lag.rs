@@ -100,13 +100,20 @@ impl Lag {
     /// Measures a technique's lag on a session's scene as it stands at its start.
     ///
     /// # Errors
-    /// An interruption; a scene without what shall jump, or that its jump does not change; whatever
+    /// An interruption; no frames or no restarts; a scene without what shall jump, or that its jump
+    /// does not change; whatever
     /// a loop or a reference refuses.
     pub fn run(&self, session: &Session, technique: &Arc<dyn Technique>) -> Result<LagOutcome> {
         if self.reference.file.is_some() {
             return Err(Error::usage(
                 "a reference file is one picture, but a change has two: leave it out",
             ));
+        }
+        let Self { before, after, restarts, .. } = *self;
+        if before == 0 || after == 0 || restarts == 0 {
+            return Err(Error::usage(format!(
+                "frames before {before}, after {after}, restarts {restarts}: each must be at least 1"
+            )));
         }
         let old = still(session.stage.scene());
         let new = changed(&old, self.change)?;

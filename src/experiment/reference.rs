@@ -10,7 +10,9 @@ use super::seeds::{SeedUse, seed};
 use super::session::{self, Mean, Session};
 use crate::picture::Picture;
 use crate::plan::{Filter, Shot};
-use crate::report::{Reference, ReferenceCache, ReferenceInfo, default_cache_dir, read_exr};
+use crate::report::{
+    CacheKey, Reference, ReferenceCache, ReferenceInfo, default_cache_dir, read_exr,
+};
 use crate::stats::{Criteria, Verdict};
 use crate::techniques::Technique;
 use crate::{Error, Result};
@@ -103,51 +105,8 @@ pub(super) fn obtain(
         if source == "cache" {
             source = "cache, continued";
         }
-        let begin = Instant::now();
-        let mut stored_at = begin;
-        let limit = Duration::from_secs_f64(settings.seconds.min(1e6));
-        let progress = session.host().begin("reference", 1);
-        // Frames of one session have consecutive numbers under one seed, and no two sessions start
-        // after equally many frames.
-        let first = reference.frames() as u32;
-        let mut frames = session.start_reference(
-            technique,
-            EFFORT as f32,
-            seed(SEED, SeedUse::Reference, 0, first),
-        )?;
-        while !good(&reference, variance) {
-            let frame = match session.next(&mut frames) {
-                Ok(frame) => frame,
-                Err(error) => {
-                    cache.store(key, &reference)?;
-                    return Err(error);
-                }
-            };
-            let picture = frame.picture();
-            if frame.counters.non_finite > 0 || picture.non_finite() > 0 {
-                let message = format!(
-                    "{} estimates of the reference are not finite",
-                    frame.counters.non_finite
-                );
-                return Err(Error::invalid(message));
-            }
-            reference.add(&picture);
-            let now = reference.frames();
-            if let Some(v) = reference.variance().filter(|_| now >= FEWEST_FRAMES) {
-                let needed = (now as f64 * v / variance).ceil().min(1e9) as u64;
-                progress.set(now, needed);
-            } else {
-                progress.set(now, FEWEST_FRAMES);
-            }
-            if begin.elapsed() > limit && now >= FEWEST_FRAMES {
-                break;
-            }
-            if stored_at.elapsed() > STORE_EVERY {
-                cache.store(key, &reference)?;
-                stored_at = Instant::now();
-            }
-        }
-        cache.store(key, &reference)?;
+        let making = Making { session, technique, cache: &cache, key };
+        making.improve(&mut reference, variance, settings.seconds)?;
     }
     session.check()?;
     let info = ReferenceInfo {
@@ -158,6 +117,60 @@ pub(super) fn obtain(
         share_of_smallest_mse: None,
     };
     Ok(SourcedReference { reference, info })
+}
+
+/// A reference in the making, and where it is kept.
+struct Making<'a> {
+    session: &'a Session,
+    technique: &'a Arc<dyn Technique>,
+    cache: &'a ReferenceCache,
+    key: CacheKey,
+}
+
+impl Making<'_> {
+    /// Adds frames until the variance is low enough or the time is up, and stores what there is,
+    /// now and then as well as in the end.
+    fn improve(&self, reference: &mut Reference, variance: f64, seconds: f64) -> Result<()> {
+        let begin = Instant::now();
+        let mut stored_at = begin;
+        let seconds = if seconds.is_nan() { 0.0 } else { seconds.clamp(0.0, 1e6) };
+        let limit = Duration::from_secs_f64(seconds);
+        let progress = self.session.host().begin("reference", 1);
+        // Frames of one session have consecutive numbers under one seed, and no two sessions start
+        // after equally many frames.
+        let run = seed(SEED, SeedUse::Reference, 0, reference.frames() as u32);
+        let mut frames = self.session.start_reference(self.technique, EFFORT as f32, run)?;
+        while !good(reference, variance) {
+            let frame = match self.session.next(&mut frames) {
+                Ok(frame) => frame,
+                Err(error) => {
+                    self.cache.store(self.key, reference)?;
+                    return Err(error);
+                }
+            };
+            let picture = frame.picture();
+            let bad = frame.counters.non_finite;
+            if bad > 0 || picture.non_finite() > 0 {
+                let message = format!("{bad} estimates of the reference are not finite");
+                return Err(Error::invalid(message));
+            }
+            reference.add(&picture);
+            let now = reference.frames();
+            let needed = match reference.variance().filter(|_| now >= FEWEST_FRAMES) {
+                Some(v) => (now as f64 * v / variance).ceil().min(1e9) as u64,
+                None => FEWEST_FRAMES,
+            };
+            progress.set(now, needed);
+            if begin.elapsed() > limit && now >= FEWEST_FRAMES {
+                break;
+            }
+            if stored_at.elapsed() > STORE_EVERY {
+                self.cache.store(self.key, reference)?;
+                stored_at = Instant::now();
+            }
+        }
+        self.cache.store(self.key, reference)
+    }
 }
 
 fn good(reference: &Reference, variance: f64) -> bool {

@@ -94,7 +94,8 @@ impl Session {
     /// A session on a scene that was built in code, without a host.
     ///
     /// # Errors
-    /// Whatever [`Stage::new`] refuses.
+    /// Whatever [`Stage::new`] and [`Shot::validate`] refuse; a motion of something that the scene
+    /// has not.
     pub fn new(scene: Scene, settings: &SessionSettings) -> Result<Self> {
         Self::with_host(scene, settings, Arc::new(Silent))
     }
@@ -111,7 +112,7 @@ impl Session {
     /// A session whose host hears of progress and may stop it.
     ///
     /// # Errors
-    /// As [`Session::new`]; a motion of something that the scene has not.
+    /// As [`Session::new`].
     pub fn with_host(
         mut scene: Scene,
         settings: &SessionSettings,
@@ -134,11 +135,12 @@ impl Session {
             effort: 1.0,
             fps,
         };
+        shot.validate()?;
         let name = scene.name.clone();
         Ok(Self { scene: name.clone(), name, stage: Stage::new(scene)?, shot, backend, host })
     }
 
-    /// Who hears of the work.
+    /// The program that hears of the work.
     #[must_use]
     pub fn host(&self) -> &dyn Host {
         &*self.host

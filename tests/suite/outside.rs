@@ -285,3 +285,30 @@ fn it_is_compared_with_registered_ones() {
     assert!(walks.rays_per_pixel["bounce"] > nee.rays_per_pixel["bounce"]);
     assert!(walks.metrics["relmse"].mean > 0.0 && compared.results.curves.len() == 2);
 }
+
+#[test]
+fn comparisons_without_an_answer_are_refused() {
+    let nee = technique("nee").unwrap();
+    let default = || Comparison { reference: reference("refused"), ..Comparison::default() };
+    let session = session();
+    for (comparison, techniques, why) in [
+        (default(), vec![], "no technique"),
+        (Comparison { frames: 0, ..default() }, vec![nee.clone()], "frames"),
+        (Comparison { restarts: 0, ..default() }, vec![nee.clone()], "restarts"),
+        (
+            Comparison { spending: Spending::Milliseconds(f64::NAN), ..default() },
+            vec![nee.clone()],
+            "ms",
+        ),
+        (
+            Comparison { spending: Spending::Estimates(0), ..default() },
+            vec![nee.clone()],
+            "effort is 0",
+        ),
+    ] {
+        let error = comparison.run(&session, &techniques).unwrap_err();
+        assert!(error.is_usage() && error.to_string().contains(why), "{error}");
+    }
+    let settings = SessionSettings { fps: 0, ..SessionSettings::default() };
+    assert!(Session::new(room(), &settings).unwrap_err().is_usage());
+}

@@ -212,6 +212,14 @@ impl Comparison {
         if self.frames == 0 {
             return Err(Error::usage("`frames` is 0, but must be at least 1"));
         }
+        if self.restarts == 0 {
+            return Err(Error::usage("`restarts` is 0, but must be at least 1"));
+        }
+        if let Spending::Milliseconds(ms) = self.spending
+            && !(ms.is_finite() && ms > 0.0)
+        {
+            return Err(Error::usage(format!("a frame of {ms} ms is none; it must be above 0")));
+        }
         let moves = session.stage.facts().moves();
         if self.warmup && moves {
             return Err(Error::usage(

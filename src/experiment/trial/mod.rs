@@ -29,10 +29,10 @@ use super::bias;
 use super::reference::{ReferenceSettings, SourcedReference};
 use super::seeds::SeedUse;
 use super::session::{self, Session};
-use crate::Result;
 use crate::report::Reference;
 use crate::stats::{Restarts, Tolerance, Verdict};
 use crate::techniques::Technique;
+use crate::{Error, Result};
 
 pub use self::outcome::{AgeOutcome, StageOutcome, TrialOutcome};
 pub use self::pool::ReferencePool;
@@ -149,7 +149,8 @@ impl Trial {
     /// ages (one for all where nothing moves).
     ///
     /// # Errors
-    /// An interruption; whatever a loop, a reference or `shown` refuses.
+    /// An interruption; ages that do not rise from 1 or more, a δ that is no share, no restarts;
+    /// whatever a loop, a reference or `shown` refuses.
     pub fn run(
         &self,
         session: &Session,
@@ -164,6 +165,7 @@ impl Trial {
             ages: self.ages.of(session, &**technique),
             against: self.against(&**technique)?,
         };
+        running.refuse()?;
         let begin = Instant::now();
         let (mut found, mut a_frame) = running.pilot(PILOT)?;
         let length = running.long_pilot(a_frame);
@@ -214,6 +216,23 @@ struct Running<'a> {
 }
 
 impl Running<'_> {
+    /// Refuses what has no answer.
+    fn refuse(&self) -> Result<()> {
+        let Trial { delta, restarts, .. } = *self.trial;
+        let rising = self.ages.is_sorted_by(|a, b| a < b);
+        if self.ages.first().is_none_or(|first| *first == 0) || !rising {
+            let ages = &self.ages;
+            return Err(Error::usage(format!("ages are {ages:?}, but must rise from 1 or more")));
+        }
+        if !(delta > 0.0 && delta < 1.0) {
+            return Err(Error::usage(format!("`delta` is {delta}, but must be a share in (0, 1)")));
+        }
+        if restarts.is_some_and(|restarts| restarts < 2) {
+            return Err(Error::usage("`restarts` must be 2 or more: one has no variance"));
+        }
+        Ok(())
+    }
+
     /// A pilot with `count` restarts, and the seconds that a frame took.
     fn pilot(&self, count: u32) -> Result<(Vec<Restarts>, f64)> {
         let begin = Instant::now();

@@ -209,3 +209,22 @@ fn ages_begin_at_a_cold_start_and_rise() {
         assert!(list[0] == 1 && list.is_sorted() && list.last() == Some(&ages.longest()));
     }
 }
+
+#[test]
+fn settings_without_an_answer_are_refused_before_any_work() {
+    let (session, nee) = (penumbra(), session::technique("nee").unwrap());
+    let default = Trial::default;
+    for (trial, why) in [
+        (Trial { ages: Ages::Given(vec![]), ..default() }, "rise"),
+        (Trial { ages: Ages::Given(vec![0, 1]), ..default() }, "rise"),
+        (Trial { ages: Ages::Given(vec![3, 2]), ..default() }, "rise"),
+        (Trial { ages: Ages::Given(vec![2, 2]), ..default() }, "rise"),
+        (Trial { delta: 0.0, ..default() }, "share"),
+        (Trial { delta: f64::NAN, ..default() }, "share"),
+        (Trial { restarts: Some(1), ..default() }, "2 or more"),
+    ] {
+        let outcome = trial.run(&session, &nee, &mut ReferencePool::default(), |_, _| Ok(()));
+        let error = outcome.unwrap_err();
+        assert!(error.is_usage() && error.to_string().contains(why), "{error}");
+    }
+}
