@@ -312,8 +312,12 @@ fn assert_unbiased(at: (&Course, &Stage), spec: &str, shot: Shot, looks: &[Look]
 
 /// A configuration on pictures this small.
 fn with(keys: &str) -> String {
-    let base = "restir-di:candidates=4,radius=4";
-    if keys.is_empty() { base.into() } else { format!("{base},{keys}") }
+    // Neighbours in every frame, each pixel its own, unless `keys` say otherwise.
+    let given = |key: &str| keys.split(',').any(|pair| pair.split('=').next() == Some(key));
+    let base = ["candidates=4", "radius=4", "taps=random", "mature=0"];
+    let base = base.into_iter().filter(|pair| !given(pair.split('=').next().unwrap_or("")));
+    let pairs: Vec<&str> = base.chain(keys.split(',').filter(|key| !key.is_empty())).collect();
+    format!("restir-di:{}", pairs.join(","))
 }
 
 const CONFIGURATIONS: [&str; 21] = [
