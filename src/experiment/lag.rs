@@ -114,7 +114,7 @@ impl Lag {
         // A stage of its own: everything counts as moving, so no pass is left out before the
         // change.
         let stage = Stage::moving(old.clone())?;
-        let shot = Shot { effort: self.effort as f32, ..session.shot };
+        let shot = Shot { effort: self.effort, ..session.shot };
         let mut frames =
             FrameLoop::with_backend(technique.clone(), &stage, shot, &session.backend)?;
         let [before, after] = self.references(session, [&old, &new], &mut frames)?;

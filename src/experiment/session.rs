@@ -182,7 +182,7 @@ impl Session {
         effort: f32,
         seed: u64,
     ) -> Result<FrameLoop> {
-        let shot = Shot { effort: effort as f32, run: seed, ..self.shot };
+        let shot = Shot { effort, run: seed, ..self.shot };
         let frames = FrameLoop::with_backend(technique.clone(), &self.stage, shot, &self.backend)?;
         if self.device().is_some() && frames.runs_on().is_none() {
             let spec = technique.spec();
@@ -201,7 +201,7 @@ impl Session {
         effort: f32,
         seed: u64,
     ) -> Result<FrameLoop> {
-        let shot = Shot { effort: effort as f32, run: seed, ..self.shot };
+        let shot = Shot { effort, run: seed, ..self.shot };
         FrameLoop::new(technique.clone(), &self.stage, shot)
     }
 
