@@ -3,10 +3,13 @@
 
 use std::sync::Arc;
 
+use glam::Vec3;
+
 use super::*;
 use crate::gpu::Gpu;
 use crate::math::rng::Purpose;
-use crate::plan::{Builder, Domain, Filter, Grid, NewPass};
+use crate::pass::Band;
+use crate::plan::{BufferId, Builder, Domain, Filter, Grid, NewPass};
 use crate::scene::{Curve, Interpolation, Track, Transform};
 use crate::stats::{Margin, Moments, Verdict, equivalence, t_test};
 use crate::techniques::parse;
@@ -74,10 +77,12 @@ fn after(
         frames.render().unwrap();
     }
     frames.run_on_cpu(if here { passes } else { passes - 1 });
-    frames.device.as_mut().unwrap().stop_after = passes;
+    let Runner::Gpu(device) = &mut frames.runner else { panic!("{spec} runs on the CPU") };
+    device.stop_after = passes;
     frames.render().unwrap();
-    let device = frames.device.as_ref().unwrap();
-    (0..frames.plan.buffers.len()).map(|buffer| device.runner.read(buffer).unwrap()).collect()
+    let Runner::Gpu(device) = &frames.runner else { panic!("{spec} runs on the CPU") };
+    let buffers = (0..frames.plan.buffers.len()).map(BufferId);
+    buffers.map(|id| device.buffer(id).unwrap().clone()).collect()
 }
 
 /// Elements of both that differ by more than rounding. Integers are compared as they are, values to
