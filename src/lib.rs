@@ -24,7 +24,9 @@
 //! | [`metrics`] | how large is the error? Of one picture against another |
 //! | [`math`] | warps, random numbers, frames |
 //! | [`picture`], [`error`] | a picture of radiance; the one error type |
-//! | `report`, `cli` | files, tables, the `afterimage` command (feature `cli`, on by default) |
+//! | `experiment` | comparison at equal time, tests of means, ladders, lag, without a command line (feature `experiment`) |
+//! | `report` | files, tables, plots, references on disk (feature `experiment`) |
+//! | `cli` | the `afterimage` command (feature `cli`, on by default) |
 //!
 //! Without default features the crate is the library alone: no loaders, no command.
 //!
@@ -73,6 +75,8 @@ pub mod accel;
 pub mod cli;
 pub mod counters;
 pub mod error;
+#[cfg(feature = "experiment")]
+pub mod experiment;
 pub mod frame;
 #[cfg(feature = "gpu")]
 pub mod gpu;
@@ -83,7 +87,7 @@ pub mod pass;
 pub mod path;
 pub mod picture;
 pub mod plan;
-#[cfg(feature = "cli")]
+#[cfg(feature = "experiment")]
 pub mod report;
 pub mod resampling;
 pub mod reuse;

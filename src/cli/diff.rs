@@ -5,14 +5,16 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::{Status, figures, print};
+use super::{Status, print};
+use crate::experiment::figures;
 use crate::picture::Picture;
 use crate::report::{METRICS, figure, read_exr};
 use crate::{Error, Result};
 
 /// Metrics of picture A against picture B
 ///
-/// B is the reference. A layer named `emission` (directly visible emission, as `render` writes it) is taken out of its picture first.
+/// B is the reference. A layer named `emission` (directly visible emission, as `render` writes it)
+/// is taken out of its picture first.
 #[derive(Args, Debug)]
 #[command(
     after_help = "Example:\n  afterimage diff out/cornell/nee.exr out/cornell/reference.exr --json"

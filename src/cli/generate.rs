@@ -11,7 +11,8 @@ use crate::{Result, scene};
 
 /// Write a generated scene as pbrt text
 ///
-/// Every command takes the same name in place of a file, without writing one: `afterimage compare many-lights:1000`.
+/// Every command takes the same name in place of a file, without writing one: `afterimage compare
+/// many-lights:1000`.
 #[derive(Args, Debug)]
 #[command(after_help = "Example:\n  afterimage generate many-lights:1000:7 --out lights.pbrt")]
 pub(super) struct GenerateArgs {

@@ -1,10 +1,8 @@
-//! Ctrl-C: the first asks the run to stop between two frames and write what it has, the second ends the process.
+//! Ctrl-C: the first asks the run to stop between two frames and write what it has, the second ends
+//! the process.
 
 use std::sync::Once;
 use std::sync::atomic::{AtomicBool, Ordering};
-
-use crate::error::ErrorKind;
-use crate::{Error, Result};
 
 /// Exit status of an interrupted run: 128 + SIGINT, as shells report it.
 pub(super) const STATUS: u8 = 130;
@@ -12,7 +10,8 @@ pub(super) const STATUS: u8 = 130;
 static ASKED: AtomicBool = AtomicBool::new(false);
 static INSTALLED: Once = Once::new();
 
-/// Starts to listen. Where the system has no such signal, runs cannot be interrupted cleanly, and that is all.
+/// Starts to listen. Where the system has no such signal, runs cannot be interrupted cleanly, and
+/// that is all.
 pub(super) fn listen() {
     INSTALLED.call_once(|| {
         let _ = ctrlc::set_handler(|| {
@@ -26,9 +25,4 @@ pub(super) fn listen() {
 /// Whether the user asked to stop.
 pub(super) fn asked() -> bool {
     ASKED.load(Ordering::SeqCst)
-}
-
-/// An error if the user asked to stop.
-pub(super) fn check() -> Result<()> {
-    if asked() { Err(Error::new(ErrorKind::Interrupted, "stopped by the user")) } else { Ok(()) }
 }

@@ -1,32 +1,27 @@
-//! The `afterimage` command: parsed arguments to a run to a report. One module a command.
+//! The `afterimage` command: parsed arguments to an experiment to a report. One module a command;
+//! what they run is in [`crate::experiment`].
 //!
-//! Exit status: 0 done; 1 a verdict failed where `--check` asked for it; 2 bad input or options, with the reason in one line on
-//! standard error; 130 stopped by Ctrl-C, after whole files of what was done were written.
+//! Exit status: 0 done; 1 a verdict failed where `--check` asked for it; 2 bad input or options,
+//! with the reason in one line on standard error; 130 stopped by Ctrl-C, after whole files of what
+//! was done were written.
 //!
 //! Figures and tables go to standard output; progress, warnings and errors to standard error.
 
 mod args;
-mod bias;
-mod calibrate;
+mod command_line;
 mod compare;
 mod diff;
-mod engine;
-mod figures;
-mod fingerprint;
 mod generate;
+mod host;
 mod inspect;
 mod interrupt;
 mod ladder;
 mod lag;
 mod list;
-mod machine;
-mod motion;
+mod part;
 mod plan;
 mod progress;
-mod reference;
 mod render;
-mod seeds;
-mod trial;
 mod verify;
 
 use std::io::Write as _;

@@ -1,4 +1,5 @@
-//! `plan`: what a technique will run on a scene, what the scene lets it leave out, and what is left takes.
+//! `plan`: what a technique will run on a scene, what the scene lets it leave out, and what is left
+//! takes.
 
 use std::sync::Arc;
 
@@ -6,12 +7,10 @@ use clap::Args;
 use serde_json::{Value, json};
 
 use super::args::{FilterArg, PictureArgs};
-use super::calibrate::median_p99;
-use super::engine::{self, Engine};
-use super::progress::Progress;
 use super::{Status, print};
 use crate::Result;
 use crate::counters::Counters;
+use crate::experiment::{Session, add_times, claim, median_p99, technique};
 use crate::plan::{Domain, Elements, Grid, Plan, Runs, SceneFacts};
 use crate::report::{align, figure};
 use crate::techniques::Technique;
@@ -35,29 +34,35 @@ pub(super) struct PlanArgs {
     /// Positions of primary rays
     #[arg(long, value_enum, default_value_t = FilterArg::Point)]
     filter: FilterArg,
+    /// Independent estimates a pixel and frame; of a technique that keeps reservoirs, chains of them
+    #[arg(long, value_name = "N", default_value_t = 1.0)]
+    spp: f32,
     /// Print JSON
     #[arg(long, conflicts_with = "measure")]
     json: bool,
-    /// Render N frames and show what each pass and pixel took, as medians of the second half of them
+    /// Render N frames and show what each pass and pixel took, as medians of the second half of
+    /// them
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=1_000_000))]
     measure: Option<u32>,
 }
 
 pub(super) fn run(args: &PlanArgs) -> Result<Status> {
-    let technique = engine::technique(&args.technique)?;
-    let engine = Engine::open(&args.scene, &args.picture, args.filter, None)?;
-    let plan = engine.plan(&*technique);
-    let pixels = engine.shot.pixels();
+    let technique = technique(&args.technique)?;
+    let mut session = args.picture.open(&args.scene, args.filter, None)?;
+    session.shot.effort = args.spp;
+    session.shot.validate()?;
+    let plan = session.plan(&*technique);
+    let pixels = session.shot.pixels();
     let text = if args.json {
-        format!("{:#}\n", to_json(&plan, engine.stage.facts(), pixels))
+        format!("{:#}\n", to_json(&plan, session.stage.facts(), pixels))
     } else {
-        let mut text = format!("scene      {}\n", engine.scene);
-        for (name, value) in engine.stage.facts().entries() {
+        let mut text = format!("scene      {}\n", session.scene);
+        for (name, value) in session.stage.facts().entries() {
             text.push_str(&format!("  {name:<30} {value}\n"));
         }
         let bytes = plan.bytes_per_pixel(pixels);
         let measured = match args.measure {
-            Some(frames) => measured(&engine, &technique, frames)?,
+            Some(frames) => measured(&session, &technique, frames)?,
             None => String::new(),
         };
         format!("{text}{plan}bytes      {bytes} a pixel\n{measured}")
@@ -67,23 +72,23 @@ pub(super) fn run(args: &PlanArgs) -> Result<Status> {
 }
 
 /// Time of each pass and work of a pixel in a steady frame.
-fn measured(engine: &Engine, technique: &Arc<dyn Technique>, count: u32) -> Result<String> {
-    let mut frames = engine.start(technique, engine.shot.effort as u32, engine.shot.run)?;
-    let progress = Progress::new("frames", u64::from(count));
+fn measured(session: &Session, technique: &Arc<dyn Technique>, count: u32) -> Result<String> {
+    let mut frames = session.start(technique, session.shot.effort, session.shot.run)?;
+    let progress = session.host().begin("frames", u64::from(count));
     let mut passes: Vec<(&'static str, Vec<f64>)> = Vec::new();
     let mut totals = Vec::new();
     let mut work = Counters::default();
     for index in 0..count {
-        let frame = engine::next(&mut frames)?;
+        let frame = session.next(&mut frames)?;
         if index >= count / 2 {
             totals.push(frame.milliseconds());
             work = work + frame.counters;
-            engine::add_times(&mut passes, &frame);
+            add_times(&mut passes, &frame);
         }
         progress.step();
     }
     drop(progress);
-    let pixels = engine.shot.pixels() as f64;
+    let pixels = session.shot.pixels() as f64;
     let [total, _] = median_p99(&totals);
     let line = |name: &str, ms: f64| {
         let share = format!("{:.0} %", 100.0 * ms / total);
@@ -155,7 +160,7 @@ fn to_json(plan: &Plan, facts: &SceneFacts, pixels: usize) -> Value {
         plan.constants.iter().map(|(name, value)| ((*name).to_string(), (*value).into())).collect();
     json!({
         "technique": plan.technique,
-        "claim": super::compare::claim(&plan.claim),
+        "claim": claim(&plan.claim),
         "facts": facts,
         "passes": passes,
         "buffers": buffers,

@@ -5,6 +5,8 @@ use std::time::Duration;
 
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 
+use crate::experiment::Steps;
+
 /// Bars of a run, one below the other: a ladder has one, and each of its rungs others.
 static BARS: LazyLock<MultiProgress> = LazyLock::new(MultiProgress::new);
 
@@ -30,19 +32,18 @@ impl Progress {
         bar.enable_steady_tick(Duration::from_millis(200));
         Self { bar }
     }
+}
 
-    /// What is being done.
-    pub(super) fn say(&self, text: &str) {
+impl Steps for Progress {
+    fn say(&self, text: &str) {
         self.bar.set_message(text.to_string());
     }
 
-    /// A step is done.
-    pub(super) fn step(&self) {
+    fn step(&self) {
         self.bar.inc(1);
     }
 
-    /// `done` of `steps` steps are done, as far as is known now.
-    pub(super) fn set(&self, done: u64, steps: u64) {
+    fn set(&self, done: u64, steps: u64) {
         self.bar.set_length(steps.max(done));
         self.bar.set_position(done);
     }

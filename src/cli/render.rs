@@ -4,24 +4,25 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use super::args::{FilterArg, PictureArgs};
-use super::compare::{file_name, guide_layers, sum};
-use super::engine::{self, Engine, Mean, keeps_history};
-use super::progress::Progress;
-use super::seeds::{Part, seed};
-use super::{Status, interrupt, note};
+use super::args::{FilterArg, PictureArgs, SceneArgs};
+use super::{Status, note};
+use crate::experiment::seeds::{SeedUse, seed};
+use crate::experiment::{Mean, Session, file_name, guide_layers, sum, technique};
 use crate::frame::{FrameLoop, Guides};
 use crate::picture::Picture;
 use crate::report::{Layer, Tile, ToneMap, write_exr, write_png};
 use crate::{Error, Result};
 
-/// Most estimates of one frame where `--spp` may be spread over frames, so that progress shows and Ctrl-C is heard.
+/// Most estimates of one frame where `--spp` may be spread over frames, so that progress shows and
+/// Ctrl-C is heard.
 const CHUNK: u32 = 8;
 
-/// Render one picture: EXR with albedo, normal, depth, motion and emission layers, and a PNG beside it
+/// Render one picture: EXR with albedo, normal, depth, motion and emission layers, and a PNG beside
+/// it
 ///
-/// The layer `color` is the picture; `emission` is the part of it that is seen directly. --frames shows frame N as a real-time
-/// technique would, after N-1 frames of history; --spp averages N complete estimates a pixel. Ctrl-C writes what is done.
+/// The layer `color` is the picture; `emission` is the part of it that is seen directly. --frames
+/// shows frame N as a real-time technique would, after N-1 frames of history; --spp averages N
+/// complete estimates a pixel. Ctrl-C writes what is done.
 #[derive(Args, Debug)]
 #[command(after_help = "\
 Examples:
@@ -29,6 +30,10 @@ Examples:
         256 estimates a pixel with `nee`
   afterimage render scenes/moving.pbrt --technique nee --frames 30 --out frame30.exr
         the 30th frame of an animation
+  afterimage render scenes/cornell.pbrt --motion camera:0.01 --frames 10 --out slid.exr
+        the tenth frame of a camera that slides to its right
+  afterimage render scenes/cornell.pbrt --look-at 0,1,-4,0,1,0,0,1,0 --spp 64
+        another camera: eye, target, up vector
   afterimage render model.glb --frames 64 --accumulate --size 640x360 --out model.exr
         the mean of 64 frames")]
 pub(super) struct RenderArgs {
@@ -40,6 +45,8 @@ pub(super) struct RenderArgs {
     technique: String,
     #[command(flatten)]
     picture: PictureArgs,
+    #[command(flatten)]
+    changes: SceneArgs,
     /// Positions of primary rays
     #[arg(long, value_enum, default_value_t = FilterArg::Box)]
     filter: FilterArg,
@@ -65,52 +72,58 @@ struct Shown {
 }
 
 pub(super) fn run(args: &RenderArgs) -> Result<Status> {
-    let technique = engine::technique(&args.technique)?;
+    let technique = technique(&args.technique)?;
     if let Some(out) = &args.out
         && out.extension().is_none_or(|e| !e.eq_ignore_ascii_case("exr"))
     {
         return Err(Error::usage("--out must name a file that ends in .exr").with_path(out));
     }
-    let engine = Engine::open(&args.scene, &args.picture, args.filter, None)?;
-    let run = seed(args.picture.seed, Part::Restart, 0, 0);
-    let spread = !keeps_history(&engine.plan(&*technique)) && !engine.stage.facts().moves();
+    let session = args.picture.open_changed(&args.scene, &args.changes, args.filter, None)?;
+    let run = seed(args.picture.seed, SeedUse::Restart, 0, 0);
+    let spread = !session.plan(&*technique).keeps_history() && !session.stage.facts().moves();
     let (shown, interrupted) = match args.spp {
         Some(spp) if spread => {
-            // Frames without history are independent estimates, so frames of a smaller effort are the same mean.
+            // Frames without history are independent estimates, so frames of a smaller effort are
+            // the same mean.
             let whole = spp / CHUNK;
             let rest = spp % CHUNK;
-            let mut frames = engine.start(&technique, CHUNK.min(spp), run)?;
+            let mut frames = session.start(&technique, CHUNK.min(spp) as f32, run)?;
             let last = if rest > 0 && whole > 0 {
                 Some((
-                    engine.start(&technique, rest, seed(args.picture.seed, Part::Restart, 0, 1))?,
+                    session.start(
+                        &technique,
+                        rest as f32,
+                        seed(args.picture.seed, SeedUse::Restart, 0, 1),
+                    )?,
                     rest,
                 ))
             } else {
                 None
             };
-            accumulate(&mut frames, whole.max(1), CHUNK.min(spp), last)?
+            let run = Frames { count: whole.max(1), effort: CHUNK.min(spp), last };
+            accumulate(&session, &mut frames, run)?
         }
         Some(spp) => {
-            let mut frames = engine.start(&technique, spp, run)?;
-            accumulate(&mut frames, 1, spp, None)?
+            let mut frames = session.start(&technique, spp as f32, run)?;
+            accumulate(&session, &mut frames, Frames { count: 1, effort: spp, last: None })?
         }
         None => {
             let count = args.frames.unwrap_or(16);
-            let mut frames = engine.start(&technique, 1, run)?;
+            let mut frames = session.start(&technique, 1.0, run)?;
             if args.accumulate {
-                accumulate(&mut frames, count, 1, None)?
+                accumulate(&session, &mut frames, Frames { count, effort: 1, last: None })?
             } else {
                 if args.frames.is_none() {
                     note("showing frame 16 as in real time; --spp 256 gives a smoother picture");
                 }
-                (last_frame(&mut frames, count)?, false)
+                (last_frame(&session, &mut frames, count)?, false)
             }
         }
     };
     let out = args
         .out
         .clone()
-        .unwrap_or_else(|| PathBuf::from(format!("{}.exr", file_name(&engine.name))));
+        .unwrap_or_else(|| PathBuf::from(format!("{}.exr", file_name(&session.name))));
     let all = sum(&shown.picture, Some(&shown.emission));
     if all.non_finite() > 0 {
         // Single estimates are finite: sums of them are not.
@@ -122,7 +135,7 @@ pub(super) fn run(args: &RenderArgs) -> Result<Status> {
     let mut layers = vec![Layer::rgb("color", &all)];
     layers.extend(guide_layers(&shown.guides));
     layers.push(Layer::rgb("emission", &shown.emission));
-    write_exr(&out, engine.shot.size, &layers)?;
+    write_exr(&out, session.shot.size, &layers)?;
     let png = out.with_extension("png");
     write_png(&png, &Tile::new(&all, ToneMap::for_reference(&shown.picture)))?;
     note(&format!("wrote {} and {}", out.display(), png.display()));
@@ -130,36 +143,43 @@ pub(super) fn run(args: &RenderArgs) -> Result<Status> {
 }
 
 /// The frame numbered `count`, from 1.
-fn last_frame(frames: &mut FrameLoop, count: u32) -> Result<Shown> {
-    let progress = Progress::new("frames", u64::from(count));
+fn last_frame(session: &Session, frames: &mut FrameLoop, count: u32) -> Result<Shown> {
+    let progress = session.host().begin("frames", u64::from(count));
     for _ in 1..count {
-        engine::next(frames)?;
+        session.next(frames)?;
         progress.step();
     }
-    let frame = engine::next(frames)?;
+    let frame = session.next(frames)?;
     warn(frame.counters.non_finite);
     Ok(Shown { picture: frame.picture(), emission: frame.emission(), guides: frame.guides() })
 }
 
-/// The mean of `count` frames of `effort` estimates and perhaps one more of fewer, by their numbers of estimates. Stops early, with
-/// what is done, where the user asks to.
-fn accumulate(
-    frames: &mut FrameLoop,
+/// Frames whose mean is shown.
+struct Frames {
     count: u32,
+    /// Estimates of each.
     effort: u32,
+    /// One more frame of fewer estimates, and their number.
     last: Option<(FrameLoop, u32)>,
+}
+
+/// The mean of frames by their numbers of estimates, and whether the user stopped it early.
+fn accumulate(
+    session: &Session,
+    frames: &mut FrameLoop,
+    Frames { count, effort, last }: Frames,
 ) -> Result<(Shown, bool)> {
     let size = frames.shot().size;
-    let progress = Progress::new("frames", u64::from(count));
+    let progress = session.host().begin("frames", u64::from(count));
     let (mut picture, mut emission) = (Mean::new(size), Mean::new(size));
     let (mut guides, mut non_finite) = (None, 0);
     let mut interrupted = false;
     for _ in 0..count {
-        if guides.is_some() && interrupt::asked() {
+        if guides.is_some() && session.host().stopped() {
             interrupted = true;
             break;
         }
-        let frame = engine::next(frames)?;
+        let frame = session.next(frames)?;
         picture.add(&frame.picture(), effort);
         emission.add(&frame.emission(), effort);
         non_finite += frame.counters.non_finite;
@@ -171,7 +191,7 @@ fn accumulate(
     if let Some((mut frames, effort)) = last
         && !interrupted
     {
-        let frame = engine::next(&mut frames)?;
+        let frame = session.next(&mut frames)?;
         picture.add(&frame.picture(), effort);
         emission.add(&frame.emission(), effort);
         non_finite += frame.counters.non_finite;

@@ -1,8 +1,9 @@
 //! `verify`: is a technique's mean right, at every age of its history?
 //!
-//! The sample is a whole restart; pictures of one restart are never taken for independent. At every age the image and its four
-//! tiles, in luminance and each channel, are compared with a reference made by another technique: [`super::trial`]. With `--ladder`
-//! a table of rungs is verified, from one without any reuse to all of it on moving scenes: [`super::ladder`].
+//! The sample is a whole restart; pictures of one restart are never taken for independent. At every
+//! age the image and its four tiles, in luminance and each channel, are compared with a reference
+//! made by another technique: [`Trial`]. With `--ladder` a table of rungs is verified, from one
+//! without any reuse to all of it on moving scenes: [`super::ladder`].
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -10,11 +11,14 @@ use std::sync::Arc;
 
 use clap::Args;
 
-use super::args::{Ages, FilterArg, PictureArgs, ReferenceArgs, parse_ages, parse_percent};
-use super::engine::{self, Engine, keeps_history};
-use super::reference::{self, Made};
-use super::trial::{self, Judged, References, Settings};
+use super::args::{
+    Ages, FilterArg, PictureArgs, ReferenceArgs, SceneArgs, parse_ages, parse_percent,
+};
+use super::part::{percent, place};
 use super::{Status, ladder, print};
+use crate::experiment::{
+    self, AgeOutcome, ReferencePool, Session, SourcedReference, StageOutcome, Trial, technique,
+};
 use crate::plan::Claim;
 use crate::stats::{Verdict, welch};
 use crate::techniques::Technique;
@@ -27,17 +31,13 @@ const SCENES: [&str; 4] = [
     "scenes/plates.pbrt",
     "scenes/many_lights.pbrt",
 ];
-/// Frame ages at which a technique with history is tested.
-const AGES: [u32; 5] = [1, 2, 5, 20, 50];
-/// The same with `--quick`.
-const QUICK_AGES: [u32; 3] = [1, 5, 20];
-
 /// Test whether a technique is unbiased: restarts against a reference of another technique
 ///
-/// Prints, for every scene and frame age, the verdict (pass, fail, inconclusive), the relative bias with its interval, the number of
-/// restarts, their skewness and the seeds. `pass` means: with 99.9 % confidence the bias of the image is below DELTA and that of
-/// each of its four tiles below 2 DELTA, in luminance and every channel, at every age. `fail` means: a difference is certain (10^-4)
-/// and above half of that. `inconclusive`: neither is shown.
+/// Prints, for every scene and frame age, the verdict (pass, fail, inconclusive), the relative bias
+/// with its interval, the number of restarts, their skewness and the seeds. `pass` means: with 99.9
+/// % confidence the bias of the image is below DELTA and that of each of its four tiles below 2
+/// DELTA, in luminance and every channel, at every age. `fail` means: a difference is certain
+/// (10^-4) and above half of that. `inconclusive`: neither is shown.
 #[derive(Args, Debug)]
 #[command(after_help = "\
 Examples:
@@ -47,6 +47,8 @@ Examples:
         a minute instead of many, on scenes/cornell.pbrt: finds 1 %, not 0.5 %
   afterimage verify nee scenes/moving.pbrt --ages 1,10,31 --delta 1
         the frames that are judged, and how far they may be off
+  afterimage verify restir-di scenes/cornell.pbrt --motion light --quick
+        a still scene whose lights are made to slide
   afterimage verify restir-di --ladder --out ladder.md
         rung by rung: no reuse, over space, over time, moving camera, light, occluder, mutations, visibility
   afterimage verify restir-di:candidates=8 --ladder --quick --rungs moving --check
@@ -61,30 +63,38 @@ pub(super) struct VerifyArgs {
     /// DELTA 1 %, 32x32 pixels, fewer ages, one scene: finds large errors only
     #[arg(long)]
     pub quick: bool,
-    /// Verify SPEC as far as its parts go: a table of rungs, each with parameters and motion of its own; depth 2 unless given
+    /// Verify SPEC as far as its parts go: a table of rungs, each with parameters and motion of its
+    /// own; depth 2 unless given
     #[arg(long)]
     pub ladder: bool,
     /// Only the rung of this name, or rungs whose name contains it; `still`: all without motion
     #[arg(long, value_name = "TEXT", requires = "ladder")]
     pub rungs: Option<String>,
-    /// Minutes that the ladder may take; rungs get as many restarts as fit [default: no limit, with --quick 7]
+    /// Minutes that the ladder may take; rungs get as many restarts as fit [default: no limit, with
+    /// --quick 7]
     #[arg(long, value_name = "M", requires = "ladder", value_parser = super::args::parse_positive)]
     pub minutes: Option<f64>,
     /// Write the ladder's table as Markdown, too
     #[arg(long, value_name = "FILE.md", requires = "ladder")]
     pub out: Option<PathBuf>,
-    /// Bias of the image that passes, in percent; tiles may have twice as much [default: 0.5, with --quick 1]
+    /// Bias of the image that passes, in percent; tiles may have twice as much [default: 0.5, with
+    /// --quick 1]
     #[arg(long, value_name = "PERCENT", value_parser = parse_percent)]
     pub delta: Option<f64>,
-    /// Frames after the cold start that are judged [default: 1,2,5,20,50, with --quick 1,5,20; 1 where all frames are alike]
+    /// Frames after the cold start that are judged [default: 1,2,5,20,50, with --quick 1,5,20; 1
+    /// where all frames are alike]
     #[arg(long, value_name = "N,N", value_parser = parse_ages)]
     pub ages: Option<Ages>,
     #[command(flatten)]
     pub picture: PictureArgs,
+    #[command(flatten)]
+    pub changes: SceneArgs,
     /// Positions of primary rays
     #[arg(long, value_enum, default_value_t = FilterArg::Point)]
     pub filter: FilterArg,
-    /// Restarts of the first stage; where that is no pass, a second makes four times as many [default: as many as a pilot asks for, at least 64, as fit into 20 minutes or, with --quick, one; fewer reach old ages than young ones]
+    /// Restarts of the first stage; where that is no pass, a second makes four times as many
+    /// [default: as many as a pilot asks for, at least 64, as fit into 20 minutes or, with --quick,
+    /// one; fewer reach old ages than young ones]
     #[arg(long, value_name = "R", value_parser = clap::value_parser!(u32).range(2..=1_000_000))]
     pub restarts: Option<u32>,
     /// Complete independent estimates a pixel and frame
@@ -101,62 +111,37 @@ pub(super) struct VerifyArgs {
 }
 
 impl VerifyArgs {
-    /// δ as a share.
-    pub(super) fn delta(&self) -> f64 {
-        0.01 * self.delta.unwrap_or(if self.quick { 1.0 } else { 0.5 })
-    }
-
-    /// The technique of references.
-    pub(super) fn against(&self, technique: &dyn Technique) -> Result<String> {
-        let against =
-            self.against.clone().unwrap_or_else(|| other_than(&technique.spec()).to_string());
-        engine::technique(&against)?;
-        Ok(against)
-    }
-
-    /// Small pictures and many restarts: the tiles' means are as certain, and the restarts' law is better known.
-    pub(super) fn shrink(&self, engine: &mut Engine) {
-        if self.picture.size.is_none() && self.reference.reference.is_none() {
-            engine.shot.size =
-                if self.quick { [32, 32] } else { engine.shot.size.map(|side| side.div_ceil(2)) };
-        }
-    }
-
-    /// Frames that are judged. Without history and motion all frames are alike.
-    pub(super) fn ages(&self, engine: &Engine, technique: &dyn Technique) -> Vec<u32> {
-        if let Some(Ages(ages)) = &self.ages {
-            return ages.clone();
-        }
-        let alike = !keeps_history(&engine.plan(technique)) && !engine.stage.facts().moves();
-        match (alike, self.quick) {
-            (true, _) => vec![1],
-            (false, true) => QUICK_AGES.to_vec(),
-            (false, false) => AGES.to_vec(),
-        }
-    }
-
-    /// The last frame that any rung judges.
-    pub(super) fn longest_age(&self) -> u32 {
-        let defaults: &[u32] = if self.quick { &QUICK_AGES } else { &AGES };
-        let ages = self.ages.as_ref().map_or(defaults, |Ages(ages)| ages);
-        ages.last().copied().unwrap_or(1)
-    }
-
-    pub(super) fn settings<'a>(&'a self, ages: &'a [u32], against: &'a str) -> Settings<'a> {
-        Settings {
-            ages,
-            effort: self.spp,
-            delta: self.delta(),
+    /// How each scene or rung is tested.
+    pub(super) fn trial(&self) -> Result<Trial> {
+        let default = if self.quick { Trial::quick() } else { Trial::default() };
+        Ok(Trial {
+            ages: match &self.ages {
+                Some(Ages(ages)) => experiment::Ages::Given(ages.clone()),
+                None => default.ages,
+            },
+            effort: self.spp as f32,
+            delta: self.delta.map_or(default.delta, |percent| 0.01 * percent),
             restarts: self.restarts,
-            most: 1 << 15,
-            seconds: if self.quick { 60.0 } else { 1200.0 },
-            all_in: false,
-            confirm: true,
-            run: self.picture.seed,
-            number: 0,
-            against,
-            reference: &self.reference,
+            against: self.against.as_deref().map(technique).transpose()?,
+            reference: self.reference.settings(),
+            ..default
+        })
+    }
+
+    /// Opens a scene for small pictures and many restarts: the tiles' means are as certain, and the
+    /// restarts' law is better known.
+    pub(super) fn open(
+        &self,
+        scene: &str,
+        picture: &PictureArgs,
+        size: Option<[u32; 2]>,
+    ) -> Result<Session> {
+        let mut session = picture.open_changed(scene, &self.changes, self.filter, size)?;
+        if self.picture.size.is_none() && self.reference.reference.is_none() {
+            let halves = session.shot.size.map(|side| side.div_ceil(2));
+            session.shot.size = if self.quick { [32, 32] } else { halves };
         }
+        Ok(session)
     }
 }
 
@@ -164,18 +149,13 @@ pub(super) fn run(args: &VerifyArgs) -> Result<Status> {
     if args.ladder {
         return ladder::run(args);
     }
-    let technique = engine::technique(&args.technique)?;
-    let against = args.against(&*technique)?;
+    let technique = technique(&args.technique)?;
+    let trial = args.trial()?;
     let mut failed = false;
     for scene in scenes(args)? {
-        failed |= verify(args, &scene, &technique, &against)?;
+        failed |= verify(args, &scene, &technique, &trial)?;
     }
     Ok(if failed && args.check { Status::CheckFailed } else { Status::Done })
-}
-
-/// A technique compared with itself is never found wrong.
-fn other_than(spec: &str) -> &'static str {
-    if spec.split(':').next() == Some("nee") { "bsdf" } else { "nee" }
 }
 
 fn scenes(args: &VerifyArgs) -> Result<Vec<String>> {
@@ -204,36 +184,29 @@ fn verify(
     args: &VerifyArgs,
     scene: &str,
     technique: &Arc<dyn Technique>,
-    against: &str,
+    trial: &Trial,
 ) -> Result<bool> {
-    let size = reference::file_size(&args.reference)?;
-    let mut engine = Engine::open(scene, &args.picture, args.filter, size)?;
-    args.shrink(&mut engine);
-    let ages = args.ages(&engine, &**technique);
-    let plan = engine.plan(&**technique);
+    let session = args.open(scene, &args.picture, trial.reference.size()?)?;
+    let plan = session.plan(&**technique);
     print(&format!(
         "{} on {scene} at {}x{}, depth {}: claims to be {}\n",
-        plan.technique, engine.shot.size[0], engine.shot.size[1], engine.shot.depth, plan.claim
+        plan.technique, session.shot.size[0], session.shot.size[1], session.shot.depth, plan.claim
     ))?;
+    let against = trial.against(&**technique)?.spec();
     let mut stage = 0;
-    let outcome = trial::run(
-        &engine,
-        technique,
-        &args.settings(&ages, against),
-        &mut References::default(),
-        |judged, references| {
-            let head = if stage == 0 { describe(&references[0], against) } else { String::new() };
-            let still = !engine.stage.facts().moves();
+    let outcome =
+        trial.run(&session, technique, &mut ReferencePool::default(), |judged, references| {
+            let head = if stage == 0 { describe(&references[0], &against) } else { String::new() };
+            let still = !session.stage.facts().moves();
             stage = judged.stage;
             print(&(head + &table(stage, judged, args.picture.seed, still)))
-        },
-    )?;
+        })?;
     let verdict = outcome.last().verdict;
     print(&format!("verdict    {verdict}\n\n"))?;
     Ok(verdict == Verdict::Fail && plan.claim == Claim::Unbiased)
 }
 
-fn describe(made: &Made, against: &str) -> String {
+fn describe(made: &SourcedReference, against: &str) -> String {
     match (made.info.samples, made.reference.variance()) {
         (Some(samples), Some(variance)) => {
             let mean = made.reference.picture().mean_luminance();
@@ -250,7 +223,7 @@ fn describe(made: &Made, against: &str) -> String {
     }
 }
 
-fn table(stage: u32, judged: &Judged, run: u64, still: bool) -> String {
+fn table(stage: u32, judged: &StageOutcome, run: u64, still: bool) -> String {
     let confidence = judged.confidence();
     let mut text = format!(
         "stage {stage}    {:>5} {:>13} {:>24} {:>8} {:>24} {:>24} {:>6} {:>9} {:>6}\n",
@@ -271,10 +244,10 @@ fn table(stage: u32, judged: &Judged, run: u64, still: bool) -> String {
             "           {:>5} {:>13} {:>24} {:>8.1e} {:>24} {:>24} {:>6} {:>9.2} {:>6}",
             age.frames,
             age.verdict().name(),
-            trial::percent(age.image(), confidence),
+            percent(age.image(), confidence),
             age.image().test.p,
-            worst.map_or(String::new(), trial::place),
-            worst.map_or(String::new(), |part| trial::percent(part, confidence)),
+            worst.map_or(String::new(), place),
+            worst.map_or(String::new(), |part| percent(part, confidence)),
             age.restarts.count(),
             age.restarts.luminance().skewness(),
             age.tiles_failed()
@@ -291,39 +264,22 @@ fn table(stage: u32, judged: &Judged, run: u64, still: bool) -> String {
     text
 }
 
-fn judged_tile(age: &trial::Age, confidence: f64) -> Option<&crate::stats::Part> {
+fn judged_tile(age: &AgeOutcome, confidence: f64) -> Option<&crate::stats::Part> {
     age.parts
         .iter()
         .filter(|part| part.place != crate::stats::Place::Image)
         .max_by(|a, b| a.reach(confidence).total_cmp(&b.reach(confidence)))
 }
 
-/// p of equal mean luminance at the first and the last age of a still scene; `None` for a single age.
+/// p of equal mean luminance at the first and the last age of a still scene; `None` for a single
+/// age.
 ///
-/// Ages of one restart are positively correlated, so treating them as independent overstates the difference's error: conservative.
-fn slope(judged: &Judged) -> Option<f64> {
+/// Ages of one restart are positively correlated, so treating them as independent overstates the
+/// difference's error: conservative.
+fn slope(judged: &StageOutcome) -> Option<f64> {
     let (first, last) = (judged.ages.first()?, judged.ages.last()?);
     if first.frames == last.frames {
         return None;
     }
     Some(welch(&first.restarts.luminance().estimate(), &last.restarts.luminance().estimate()).p)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn no_technique_is_its_own_judge() {
-        assert_eq!(other_than("nee"), "bsdf");
-        assert_eq!(other_than("nee:roulette=3"), "bsdf");
-        assert_eq!(other_than("bsdf"), "nee");
-    }
-
-    #[test]
-    fn ages_begin_at_a_cold_start_and_rise() {
-        for ages in [&AGES[..], &QUICK_AGES[..]] {
-            assert!(ages[0] == 1 && ages.is_sorted());
-        }
-    }
 }

@@ -12,7 +12,7 @@ use crate::pass::Band;
 use crate::plan::{BufferId, Builder, Domain, Filter, Grid, NewPass};
 use crate::scene::{Curve, Interpolation, Track, Transform};
 use crate::stats::{Margin, Moments, Verdict, equivalence, t_test};
-use crate::techniques::parse;
+use crate::techniques::{REGISTRY, parse};
 
 fn device() -> Option<Arc<Gpu>> {
     crate::gpu::tests::device()
@@ -202,11 +202,8 @@ fn every_pass_gives_the_same_from_the_same_bytes() {
     for spec in POLICIES {
         passes_agree(&gpu, &still, spec, shot([64, 48], 2));
     }
-    for spec in [
-        "nee",
+    for spec in REGISTRY.iter().map(|entry| entry.name).chain([
         "nee:lights=all",
-        "bsdf",
-        "ris",
         "restir-di:neighbours=0",
         "restir-di:visibility=wis-cv,neighbours=0",
         "restir-di:rounds=3,mis=balance,neighbours=2",
@@ -214,7 +211,7 @@ fn every_pass_gives_the_same_from_the_same_bytes() {
         "restir-di:mis=contribution,neighbours=3,temporal-mis=inverse-count",
         "restir-di:mis=pairwise,decoupled=true,visibility=reuse",
         "restir-di:visibility=reuse,boiling=0.2,max-age=60,decoupled=true",
-    ] {
+    ]) {
         passes_agree(&gpu, &still, spec, shot([64, 48], 3));
     }
     let many = many();
@@ -223,8 +220,8 @@ fn every_pass_gives_the_same_from_the_same_bytes() {
     }
 }
 
-/// The same of what few plans have: several chains of a pixel, efforts with a fraction, exchanges
-/// of neighbours, spatial results that are not kept.
+/// The same of what few plans have: several chains of a pixel, efforts with a fraction, taps of
+/// each pixel's own, spatial results that are not kept.
 #[test]
 fn every_pass_of_less_common_plans_gives_the_same_from_the_same_bytes() {
     let Some(gpu) = device() else { return };
@@ -236,7 +233,7 @@ fn every_pass_of_less_common_plans_gives_the_same_from_the_same_bytes() {
     for spec in ["nee", "ris"] {
         passes_agree(&gpu, &still, spec, Shot { effort: 1.4, ..shot([64, 48], 3) });
     }
-    passes_agree(&gpu, &still, "restir-di:taps=xor,neighbours=2", shot([64, 48], 2));
+    passes_agree(&gpu, &still, "restir-di:taps=random,neighbours=2,mature=1", shot([64, 48], 2));
     let display = "restir-di:spatial=display,rounds=3,visibility=wis-cv";
     passes_agree(&gpu, &still, display, shot([64, 48], 2));
     passes_agree(&gpu, &moving(), "restir-di:spatial=display", chains);

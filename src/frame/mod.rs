@@ -99,22 +99,8 @@ impl FrameLoop {
         shot: Shot,
         backend: &Backend,
     ) -> Result<Self> {
-        let Shot { size: [width, height], depth, filter: _, run: _, effort, fps } = shot;
-        let pixels = u64::from(width) * u64::from(height);
-        if pixels == 0 || pixels >= 1 << 31 {
-            return Err(Error::usage(format!(
-                "the picture is {width}x{height}, but must have between 1 and 2^31 - 1 pixels"
-            )));
-        }
-        if depth == 0 || fps == 0 {
-            return Err(Error::usage(format!("depth {depth}, fps {fps}: each must be at least 1")));
-        }
-        if !(1.0..=Shot::MOST_EFFORT).contains(&effort) {
-            return Err(Error::usage(format!(
-                "effort is {effort}, but must be in [1, {}]",
-                Shot::MOST_EFFORT
-            )));
-        }
+        shot.validate()?;
+        let (effort, pixels) = (shot.effort, shot.pixels());
         technique.validate()?;
         let plan = technique.plan(&stage.facts, &shot);
         if plan.chains && effort.fract() != 0.0 {
@@ -138,7 +124,7 @@ impl FrameLoop {
                 let elements = match (&runner, buffer.elements) {
                     // The device holds them.
                     (Runner::Gpu(_), _) => 0,
-                    (Runner::Cpu, Elements::Pixels) => pixels as usize,
+                    (Runner::Cpu, Elements::Pixels) => pixels,
                     (Runner::Cpu, Elements::Items(n)) => n as usize,
                 };
                 let words = vec![0; elements * buffer.bytes as usize / 4];

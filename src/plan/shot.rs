@@ -1,5 +1,7 @@
 //! What is rendered, besides the scene and the technique.
 
+use crate::error::{Error, Result};
+
 /// Where in a pixel primary rays pass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Filter {
@@ -33,6 +35,29 @@ pub struct Shot {
 impl Shot {
     /// Largest effort.
     pub const MOST_EFFORT: f32 = 1_048_576.0;
+
+    /// Refuses a shot that no loop renders.
+    ///
+    /// # Errors
+    /// A picture without pixels or with 2³¹ or more, a depth of 0, an effort that is not in
+    /// [1, [`Shot::MOST_EFFORT`]], no frames a second.
+    pub fn validate(&self) -> Result<()> {
+        let Self { size: [width, height], depth, filter: _, run: _, effort, fps } = *self;
+        let pixels = u64::from(width) * u64::from(height);
+        if pixels == 0 || pixels >= 1 << 31 {
+            return Err(Error::usage(format!(
+                "the picture is {width}x{height}, but must have between 1 and 2^31 - 1 pixels"
+            )));
+        }
+        if depth == 0 || fps == 0 {
+            return Err(Error::usage(format!("depth {depth}, fps {fps}: each must be at least 1")));
+        }
+        if !(1.0..=Self::MOST_EFFORT).contains(&effort) {
+            let most = Self::MOST_EFFORT;
+            return Err(Error::usage(format!("effort is {effort}, but must be in [1, {most}]")));
+        }
+        Ok(())
+    }
 
     /// Chains of a pixel, for techniques that keep reservoirs: the effort, which is whole for them.
     #[must_use]

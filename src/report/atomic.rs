@@ -7,8 +7,8 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use crate::{Error, Result};
 
-/// Writes `path` through a temporary file beside it and a rename, so that a reader, or a run that is stopped, sees the old file or
-/// the new one. Missing folders are made.
+/// Writes `path` through a temporary file beside it and a rename, so that a reader, or a run that
+/// is stopped, sees the old file or the new one. Missing folders are made.
 ///
 /// # Errors
 /// Where the operating system refuses, or `write` does; nothing is left behind then.

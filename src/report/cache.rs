@@ -1,7 +1,8 @@
-//! References: a picture as a mean and a variance a pixel over independent frames, kept on disk so that it is made once and can be
-//! continued.
+//! References: a picture as a mean and a variance a pixel over independent frames, kept on disk so
+//! that it is made once and can be continued.
 //!
-//! A file is `KEY.reference`: magic, format version, key, size, frame count, six f64 a pixel (mean and Σ(x − mean)² of R, G, B), all little-endian, then a checksum of everything before it.
+//! A file is `KEY.reference`: magic, format version, key, size, frame count, six f64 a pixel (mean
+//! and Σ(x − mean)² of R, G, B), all little-endian, then a checksum of everything before it.
 
 use std::fs;
 use std::hash::{DefaultHasher, Hasher};
@@ -24,8 +25,9 @@ pub struct CacheKey([u64; 2]);
 impl CacheKey {
     /// The key of the bytes that `feed` hands to its argument.
     ///
-    /// Two of std's 64-bit hashers with different prefixes: enough against accident, which is all that a private cache needs, and
-    /// no dependency. A release of Rust may change them; references are then made anew.
+    /// Two of std's 64-bit hashers with different prefixes: enough against accident, which is all
+    /// that a private cache needs, and no dependency. A release of Rust may change them; references
+    /// are then made anew.
     #[must_use]
     pub fn of(feed: impl Fn(&mut dyn Hasher)) -> Self {
         Self([0x6166_7465_7269_6d61_u64, 0x6765_5f72_6566_5f32].map(|prefix| {
@@ -219,7 +221,8 @@ impl ReferenceCache {
         self.folder.join(format!("{key}.reference"))
     }
 
-    /// The stored reference, or none; a damaged one is none with a warning, and is replaced by the next [`Self::store`].
+    /// The stored reference, or none; a damaged one is none with a warning, and is replaced by the
+    /// next [`Self::store`].
     ///
     /// # Errors
     /// Where the operating system refuses to read a file that is there.

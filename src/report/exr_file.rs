@@ -1,7 +1,8 @@
 //! OpenEXR pictures: one RGB picture, or a multi-part file with a part (layer) a guide.
 //!
-//! Layers written by `render`: `color` (R G B, reflected light and emission), `emission` (R G B, directly visible emission and sky),
-//! `albedo` (R G B), `normal` (X Y Z, world space), `depth` (Z, distance from the pinhole), `motion` (X Y, pixels since the previous frame).
+//! Layers written by `render`: `color` (R G B, reflected light and emission), `emission` (R G B,
+//! directly visible emission and sky), `albedo` (R G B), `normal` (X Y Z, world space), `depth` (Z,
+//! distance from the pinhole), `motion` (X Y, pixels since the previous frame).
 
 use std::path::Path;
 
@@ -54,7 +55,8 @@ impl Layer {
 /// Writes layers of one size, 32-bit floats, lossless.
 ///
 /// # Errors
-/// Where the file cannot be written, there is no layer, or a channel has not `size[0] · size[1]` samples.
+/// Where the file cannot be written, there is no layer, or a channel has not `size[0] · size[1]`
+/// samples.
 pub fn write_exr(path: &Path, size: [u32; 2], layers: &[Layer]) -> Result<()> {
     let count = size[0] as usize * size[1] as usize;
     let dimensions = Vec2(size[0] as usize, size[1] as usize);
@@ -105,11 +107,13 @@ pub fn write_exr(path: &Path, size: [u32; 2], layers: &[Layer]) -> Result<()> {
 pub struct ExrPicture {
     /// The first layer with R, G, B (or Y, taken as grey).
     pub picture: Picture,
-    /// The layer named `emission`, where there is one: directly visible emission, which metrics leave out.
+    /// The layer named `emission`, where there is one: directly visible emission, which metrics
+    /// leave out.
     pub emission: Option<Picture>,
 }
 
-/// Reads the first RGB or Y layer of any EXR file, as linear floats. Alpha and deep data are ignored; the data window is the picture.
+/// Reads the first RGB or Y layer of any EXR file, as linear floats. Alpha and deep data are
+/// ignored; the data window is the picture.
 ///
 /// # Errors
 /// Where the file is missing, no EXR, or holds no such layer.

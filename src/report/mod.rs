@@ -29,5 +29,6 @@ pub use results::{
     Bias, Budget, BudgetKind, Claim, Curve, CurvePoint, ErrorSpectrum, Figure, FrameTime, METRICS,
     PassTime, ReferenceInfo, Results, Row, SCHEMA, SpectrumPoint, Warmup,
 };
+#[cfg(feature = "cli")]
 pub(crate) use table::align;
 pub use table::{csv, curve_csv, figure, markdown, spectrum_csv, summary, warmup_csv};

@@ -16,8 +16,9 @@ const COLORS: [RGBColor; 7] = [
     RGBColor(0, 0, 0),
 ];
 
-/// The root of relMSE against milliseconds a frame, a line a technique with its 95 % band, and a guide of slope −1/2 (what
-/// independent samples give). `None` where there is no positive point to draw.
+/// The root of relMSE against milliseconds a frame, a line a technique with its 95 % band, and a
+/// guide of slope −1/2 (what independent samples give). `None` where there is no positive point to
+/// draw.
 ///
 /// # Errors
 /// Where the drawing library refuses.
@@ -25,8 +26,8 @@ pub fn error_time_svg(title: &str, curves: &[Curve]) -> Result<Option<String>> {
     plot(title, "milliseconds a frame", curves)
 }
 
-/// The root of relMSE of every frame after a cold start, drawn as [`error_time_svg`]; the guide is what a mean of independent frames
-/// gives.
+/// The root of relMSE of every frame after a cold start, drawn as [`error_time_svg`]; the guide is
+/// what a mean of independent frames gives.
 ///
 /// # Errors
 /// Where the drawing library refuses.
@@ -37,7 +38,7 @@ pub fn warmup_svg(title: &str, warmups: &[Warmup]) -> Result<Option<String>> {
             technique: warmup.technique.clone(),
             points: (1..)
                 .zip(&warmup.relmse)
-                .map(|(frame, &relmse)| CurvePoint { effort: 1, ms: f64::from(frame), relmse })
+                .map(|(frame, &relmse)| CurvePoint { effort: 1.0, ms: f64::from(frame), relmse })
                 .collect(),
         })
         .collect();
@@ -85,7 +86,8 @@ fn points(curve: &Curve) -> Vec<Point> {
         })
         .map(|p| {
             let error = p.relmse.mean.sqrt();
-            // An interval that reaches below zero has no logarithm there; it is drawn down to a third of the error.
+            // An interval that reaches below zero has no logarithm there; it is drawn down to a
+            // third of the error.
             let [low, high] = p.relmse.ci.map_or([error, error], |[low, high]| {
                 [low.max(p.relmse.mean / 9.0).sqrt(), high.max(p.relmse.mean).sqrt()]
             });
@@ -175,7 +177,7 @@ mod tests {
         let points = values
             .iter()
             .map(|&(ms, mean)| CurvePoint {
-                effort: 1,
+                effort: 1.0,
                 ms,
                 relmse: Figure { mean, ci: Some([0.5 * mean, 1.5 * mean]) },
             })

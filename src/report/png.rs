@@ -1,11 +1,12 @@
 //! Pictures to look at.
 //!
-//! Exposure: the factor that brings the median luminance of the reference's lit pixels' luminances to 0.18 (the photographic
-//! middle grey); the same factor for every picture of a comparison. Then each channel is clipped to [0, 1] and encoded as sRGB
-//! (IEC 61966-2-1). Clipping, not a filmic curve, so that equal pixels mean equal radiance up to the clip.
+//! Exposure: the factor that brings the median luminance of the reference's lit pixels' luminances
+//! to 0.18 (the photographic middle grey); the same factor for every picture of a comparison. Then
+//! each channel is clipped to [0, 1] and encoded as sRGB (IEC 61966-2-1). Clipping, not a filmic
+//! curve, so that equal pixels mean equal radiance up to the clip.
 //!
-//! Error maps show the signed relative luminance error (x − r) / (r + 0.01 r̄), r̄ the reference's mean, on a fixed scale:
-//! blue −1 (too dark) over white 0 to red +1 (too bright).
+//! Error maps show the signed relative luminance error (x − r) / (r + 0.01 r̄), r̄ the reference's
+//! mean, on a fixed scale: blue −1 (too dark) over white 0 to red +1 (too bright).
 
 use std::path::Path;
 
@@ -24,8 +25,8 @@ pub struct ToneMap {
 }
 
 impl ToneMap {
-    /// Exposes so that the median luminance of `reference` becomes 0.18. Black pixels do not count, so that a picture that is
-    /// mostly black keeps a sensible exposure; an all-black one gets 1.
+    /// Exposes so that the median luminance of `reference` becomes 0.18. Black pixels do not count,
+    /// so that a picture that is mostly black keeps a sensible exposure; an all-black one gets 1.
     #[must_use]
     pub fn for_reference(reference: &Picture) -> Self {
         let mut values: Vec<f32> = reference
@@ -106,7 +107,8 @@ fn diverging(value: f32) -> [u8; 3] {
     Vec3::ONE.lerp(end, v.abs()).to_array().map(|c| (255.0 * c + 0.5) as u8)
 }
 
-/// Rows of tiles on a grey ground, a gap of 4 pixels between them; rows may be of unequal length, and start at the left.
+/// Rows of tiles on a grey ground, a gap of 4 pixels between them; rows may be of unequal length,
+/// and start at the left.
 #[must_use]
 pub fn contact_sheet(rows: &[Vec<Option<Tile>>]) -> Tile {
     const GAP: u32 = 4;

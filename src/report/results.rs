@@ -1,4 +1,5 @@
-//! The schema of `results.json`, version 1. Names and nesting are a contract with scripts: add fields, never rename or remove one.
+//! The schema of `results.json`, version 1. Names and nesting are a contract with scripts: add
+//! fields, never rename or remove one.
 
 use std::collections::BTreeMap;
 
@@ -7,8 +8,8 @@ use serde::{Deserialize, Serialize};
 /// [`Results::schema`].
 pub const SCHEMA: u32 = 1;
 
-/// Names that [`Row::metrics`] may hold and tables show, in their order; lower is better for all. `rmspe_share` is there as well: the share of
-/// pixels that `rmspe` is over.
+/// Names that [`Row::metrics`] may hold and tables show, in their order; lower is better for all.
+/// `rmspe_share` is there as well: the share of pixels that `rmspe` is over.
 pub const METRICS: [&str; 11] = [
     "relmse",
     "relmse_trimmed",
@@ -86,6 +87,10 @@ pub struct Row {
     pub technique: String,
     /// What it was given.
     pub budget: Budget,
+    /// Whether its effort is whole, as that of a technique with reservoirs is. Its frame takes what
+    /// it takes, near to the budget: `ttuv`, error times time, is what compares it.
+    #[serde(default)]
+    pub whole_effort: bool,
     /// What it promises on this scene.
     pub claim: Claim,
     /// `cpu` or `gpu`.
@@ -118,9 +123,11 @@ pub struct Budget {
     pub kind: BudgetKind,
     /// Milliseconds a frame, or samples a pixel.
     pub value: f64,
-    /// Complete independent estimates a frame.
-    pub effort: u32,
-    /// Whether no effort brings the median steady frame within 5 % of the budget.
+    /// Complete independent estimates a pixel and frame; with a fraction, so many pixels have one
+    /// more.
+    pub effort: f32,
+    /// Whether a technique whose effort may have a fraction has a median steady frame that is more
+    /// than 5 % off the budget. One with whole efforts is never marked.
     pub over_budget: bool,
 }
 
@@ -165,6 +172,31 @@ pub struct FrameTime {
     pub p99: f64,
     /// Median of the restarts' first frames.
     pub first: f64,
+    /// 95 % interval of the mean, over restarts, of a restart's median steady frame (Student).
+    /// Restarts of all techniques go by turns, so it covers changes of the machine's speed, as far
+    /// as they do not last for much of the run.
+    #[serde(default)]
+    pub ci: Option<[f64; 2]>,
+    /// Median of steady frames at the calibrated effort, before the first restart; none without a
+    /// frame time to keep.
+    #[serde(default)]
+    pub calibrated: Option<f64>,
+    /// The same frames again, after everything else.
+    #[serde(default)]
+    pub recalibrated: Option<f64>,
+}
+
+impl FrameTime {
+    /// A change of the calibrated time that is more than this share of it is a drift.
+    pub const DRIFT: f64 = 0.05;
+
+    /// How much longer the calibrated frames take after the run than before, as a share; `None`
+    /// where that is 5 % or less, or not known.
+    #[must_use]
+    pub fn drift(&self) -> Option<f64> {
+        let change = self.recalibrated? / self.calibrated? - 1.0;
+        (change.abs() > Self::DRIFT).then_some(change)
+    }
 }
 
 /// Time of a pass.
@@ -218,8 +250,8 @@ pub struct Curve {
 /// One budget of a [`Curve`].
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct CurvePoint {
-    /// Complete independent estimates a frame.
-    pub effort: u32,
+    /// Complete independent estimates a pixel and frame.
+    pub effort: f32,
     /// Median steady frame.
     pub ms: f64,
     /// At that effort.
@@ -261,12 +293,20 @@ pub(crate) mod tests {
         let figure = Figure { mean: relmse, ci: Some([relmse - half, relmse + half]) };
         Row {
             technique: technique.into(),
-            budget: Budget { kind: BudgetKind::Spp, value: 1.0, effort: 1, over_budget: false },
+            budget: Budget { kind: BudgetKind::Spp, value: 1.0, effort: 1.0, over_budget: false },
+            whole_effort: false,
             claim: Claim::Unbiased,
             backend: "cpu".into(),
             frames: 16,
             restarts: 20,
-            ms_per_frame: FrameTime { median: 10.0, p99: 12.0, first: 15.0 },
+            ms_per_frame: FrameTime {
+                median: 10.0,
+                p99: 12.0,
+                first: 15.0,
+                ci: Some([9.5, 10.5]),
+                calibrated: Some(10.0),
+                recalibrated: Some(10.2),
+            },
             rays_per_pixel: BTreeMap::from([("shadow".into(), 3.5)]),
             bytes_per_pixel: 0.0,
             passes: vec![PassTime { name: "path".into(), ms: 9.0 }],
@@ -328,9 +368,29 @@ pub(crate) mod tests {
         assert_eq!(json["rows"][1]["bias"]["verdict"], "pass");
         assert_eq!(first["metrics"]["relmse"]["mean"], 0.5);
         assert_eq!(first["budget"]["kind"], "spp");
+        assert_eq!(first["ms_per_frame"]["ci"][1], 10.5);
         // What older files lack is optional.
+        let mut old = json.clone();
+        let time = old["rows"][0]["ms_per_frame"].as_object_mut().unwrap();
+        time.retain(|name, _| ["median", "p99", "first"].contains(&name.as_str()));
+        let old: Results = serde_json::from_value(old).unwrap();
+        assert_eq!(old.rows[0].ms_per_frame.ci, None);
         assert!(json.get("warmups").is_none() && json.get("spectra").is_none());
         let _: Results = serde_json::from_value(json).unwrap();
+    }
+
+    #[test]
+    fn small_changes_of_time_are_no_drift_and_unknown_ones_neither() {
+        let time = |before, after| FrameTime {
+            calibrated: before,
+            recalibrated: after,
+            ..row("a", 1.0, 0.1).ms_per_frame
+        };
+        assert_eq!(time(Some(10.0), Some(10.4)).drift(), None);
+        assert_eq!(time(Some(10.0), Some(9.6)).drift(), None);
+        assert_eq!((time(None, Some(9.0)).drift(), time(Some(9.0), None).drift()), (None, None));
+        assert!((time(Some(10.0), Some(11.0)).drift().unwrap() - 0.1).abs() < 1e-12);
+        assert!((time(Some(10.0), Some(9.0)).drift().unwrap() + 0.1).abs() < 1e-12);
     }
 
     #[test]

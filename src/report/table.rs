@@ -2,10 +2,10 @@
 
 use std::fmt::Write as _;
 
-use super::{Figure, METRICS, Results, Row, SpectrumPoint};
+use super::{Budget, BudgetKind, Figure, FrameTime, METRICS, Results, Row, SpectrumPoint};
 
-/// A Markdown table, a row a technique, with the settings above it. A figure is bold only where it is the lowest and its 95 %
-/// interval meets no other row's.
+/// A Markdown table, a row a technique, with the settings above it. A figure is bold only where it
+/// is the lowest and its 95 % interval meets no other row's.
 #[must_use]
 pub fn markdown(results: &Results) -> String {
     table(results, &METRICS)
@@ -36,7 +36,7 @@ fn table(results: &Results, metrics: &[&'static str]) -> String {
                 format!("`{}`", row.technique),
                 row.claim.to_string(),
                 effort(row),
-                figure(row.ms_per_frame.median),
+                milliseconds(row),
                 figure(row.rays_per_pixel.values().sum()),
                 figure(row.bytes_per_pixel),
             ];
@@ -77,11 +77,21 @@ fn heading(results: &Results) -> String {
 }
 
 fn effort(row: &Row) -> String {
-    if row.budget.over_budget {
-        format!("{} (off budget)", row.budget.effort)
-    } else {
-        row.budget.effort.to_string()
+    let effort = row.budget.effort;
+    if row.budget.over_budget { format!("{effort} (off budget)") } else { effort.to_string() }
+}
+
+/// The median with half of its interval, and how far it drifted.
+fn milliseconds(row: &Row) -> String {
+    let time = &row.ms_per_frame;
+    let mut text = figure(time.median);
+    if let Some([low, high]) = time.ci {
+        let _ = write!(text, " ± {}", spread(0.5 * (high - low), time.median));
     }
+    if let Some(drift) = time.drift() {
+        let _ = write!(text, " (drift {:+.0} %)", 100.0 * drift);
+    }
+    text
 }
 
 fn cell(results: &Results, at: usize, metric: &str) -> String {
@@ -115,7 +125,8 @@ fn bias(row: &Row) -> String {
 
 fn notes(results: &Results) -> Vec<String> {
     let mut notes = vec![
-        "± is half of the 95 % interval over restarts; bold: lowest, and no other interval meets it.".to_string(),
+        "± is half of the 95 % interval over restarts (of ms/frame: of each restart's median); bold: lowest, and no other interval meets it."
+            .to_string(),
     ];
     for row in &results.rows {
         if row.budget.over_budget {
@@ -127,10 +138,40 @@ fn notes(results: &Results) -> Vec<String> {
             ));
         }
     }
+    for row in results.rows.iter().filter(|row| is_beside_budget(row)) {
+        notes.push(format!(
+            "`{}` keeps reservoirs, so its effort is whole: its frames took {} ms of {} ms. Compare `ttuv`, error times time.",
+            row.technique,
+            figure(row.ms_per_frame.median),
+            figure(row.budget.value)
+        ));
+    }
+    for row in &results.rows {
+        let FrameTime { calibrated: Some(before), recalibrated: Some(after), .. } =
+            row.ms_per_frame
+        else {
+            continue;
+        };
+        if row.ms_per_frame.drift().is_some() {
+            notes.push(format!(
+                "`{}` drifted: frames that took {} ms before its restarts took {} ms after them, so its time is not comparable to 5 %.",
+                row.technique,
+                figure(before),
+                figure(after)
+            ));
+        }
+    }
     if results.interrupted {
         notes.push("Stopped early: these are the restarts that were done.".to_string());
     }
     notes
+}
+
+/// Whether a technique with whole efforts is more than 5 % beside a frame time.
+fn is_beside_budget(row: &Row) -> bool {
+    let Budget { kind, value, .. } = row.budget;
+    let off = (row.ms_per_frame.median - value).abs() > 0.05 * value;
+    row.whole_effort && kind == BudgetKind::FrameTime && off
 }
 
 /// Pads the columns so that the table can be read as text.
@@ -191,11 +232,12 @@ fn spread(half: f64, mean: f64) -> String {
     format!("{half:.digits$}")
 }
 
-/// Comma-separated values, a row a technique; each metric has its mean and both ends of its interval.
+/// Comma-separated values, a row a technique; each metric has its mean and both ends of its
+/// interval.
 #[must_use]
 pub fn csv(results: &Results) -> String {
     let mut text = String::from(
-        "technique,claim,backend,budget,budget_value,effort,over_budget,frames,restarts,ms_median,ms_p99,ms_first,rays_per_pixel,\
+        "technique,claim,backend,budget,budget_value,effort,over_budget,frames,restarts,ms_median,ms_low,ms_high,ms_p99,ms_first,ms_drift,rays_per_pixel,\
          bytes_per_pixel,bias_verdict,bias_relative,bias_low,bias_high,tiles_rejected",
     );
     for metric in METRICS {
@@ -206,7 +248,7 @@ pub fn csv(results: &Results) -> String {
         let kind = serde_json::to_value(row.budget.kind).unwrap_or_default();
         let _ = write!(
             text,
-            "{},{},{},{},{},{},{},{},{},{},{},{},{},{}",
+            "{},{},{},{},{},{},{},{},{},{}{},{},{},{},{},{}",
             quoted(&row.technique),
             row.claim,
             row.backend,
@@ -217,8 +259,10 @@ pub fn csv(results: &Results) -> String {
             row.frames,
             row.restarts,
             row.ms_per_frame.median,
+            ends(row.ms_per_frame.ci),
             row.ms_per_frame.p99,
             row.ms_per_frame.first,
+            row.ms_per_frame.drift().map_or(String::new(), |drift| drift.to_string()),
             row.rays_per_pixel.values().sum::<f64>(),
             row.bytes_per_pixel
         );
@@ -323,6 +367,29 @@ mod tests {
         assert!(!near.contains("**"), "{near}");
         let alone = markdown(&results(vec![row("a", 0.1, 0.01)]));
         assert!(!alone.contains("**"), "{alone}");
+    }
+
+    #[test]
+    fn drift_and_whole_efforts_are_said_only_where_they_are() {
+        let mut drifted = row("a", 0.1, 0.01);
+        drifted.ms_per_frame.recalibrated = Some(11.0);
+        let mut reuse = row("b", 0.2, 0.01);
+        reuse.whole_effort = true;
+        reuse.budget = Budget { kind: BudgetKind::FrameTime, value: 12.0, ..reuse.budget };
+        let text = markdown(&results(vec![drifted, reuse.clone()]));
+        assert!(
+            text.contains("10.0 ± 0.5 (drift +10 %)") && text.contains("`a` drifted"),
+            "{text}"
+        );
+        assert!(
+            text.contains("`b` keeps reservoirs") && text.contains("10.0 ms of 12.0 ms"),
+            "{text}"
+        );
+        assert!(!text.contains("off budget") && !text.contains("`b` drifted"), "{text}");
+        // Within 5 % there is nothing to say.
+        reuse.budget.value = 10.2;
+        let text = markdown(&results(vec![row("a", 0.1, 0.01), reuse]));
+        assert!(!text.contains("drift") && !text.contains("keeps reservoirs"), "{text}");
     }
 
     #[test]

@@ -104,7 +104,7 @@ pub struct Merged<S, I, M> {
 
 /// Merges `others` into `canonical`: wᵢ = mᵢ p̂(T yᵢ) Wᵢ |∂T|, Y ∝ w, W = Σw / p̂(Y) (Lin et al. 2022, eq. 19, 22).
 ///
-/// OtherInputs must have been accepted by their domains alone, never by their samples; one whose shift fails stays in the MIS weights.
+/// The others must have been accepted by their domains alone, never by their samples; one whose shift fails stays in the MIS weights.
 /// `carry` is asked for each input that is streamed, which those of weight 0 are not, others first, what it brings to `reservoir`, which must be empty.
 ///
 /// Shifts from and to the others are only made where a weight needs them: none to an input while the canonical has no sample, none at all

@@ -10,10 +10,10 @@ pub const MAX_NEIGHBOURS: usize = 8;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Taps {
     /// Each pixel its own, uniformly over a disk.
-    #[default]
     Random,
     /// The same exchange for all pixels of a frame, x ↦ ((x + s) xor m) − s: pixels swap their samples
     /// in pairs, so no sample is taken by many pixels at once.
+    #[default]
     Xor,
 }
 
@@ -69,6 +69,10 @@ pub struct Settings {
     pub mis: Family,
     /// What becomes of the spatial result.
     pub spatial: SpatialUse,
+    /// Where nothing moves, frames of history from which a pixel takes nothing from its neighbours, in
+    /// [0, 250]; 0: every pixel always takes. Old samples of a still pixel are as good as fresh ones,
+    /// and neighbours that carry the same sample err together.
+    pub mature: u32,
     /// Whether all inputs of the last merge are shown, not the selected one.
     pub decoupled: bool,
     /// Mutations between temporal and spatial reuse, in [0, 64].
@@ -86,10 +90,11 @@ impl Default for Settings {
             temporal_mis: Family::Balance,
             neighbours: 1,
             radius: 16.0,
-            taps: Taps::Random,
+            taps: Taps::Xor,
             rounds: 1,
             mis: Family::DefensivePairwise,
             spatial: SpatialUse::Feedback,
+            mature: 8,
             decoupled: false,
             mutations: 0,
             boiling: 0.0,
@@ -152,6 +157,12 @@ macro_rules! reuse_rows {
                 "spatial",
                 choice spatial: $crate::reuse::SpatialUse,
                 "what becomes of the spatial result: it is kept as history, or shown only"
+            ),
+            $crate::spec::row!(
+                $technique,
+                "mature",
+                mature: 0..=250,
+                "where nothing moves, frames of history from which a pixel takes nothing from its neighbours; 0: every pixel always takes; higher is less noise in young frames, more time and more correlation"
             ),
             $crate::spec::row!(
                 $technique,

@@ -26,6 +26,9 @@ impl<R> Keys<R> {
     const SECOND_BOUNCE: BufferKey<R> = BufferKey::new("second bounce");
     /// What the last spatial round leaves to the next frame.
     const HISTORY: BufferKey<R> = BufferKey::new("history");
+    /// All of them.
+    pub(crate) const ALL: [BufferKey<R>; 4] =
+        [Self::RESERVOIRS, Self::BOUNCE, Self::SECOND_BOUNCE, Self::HISTORY];
 
     /// The key of a place.
     pub(crate) const fn at(place: Place) -> BufferKey<R> {
@@ -120,6 +123,12 @@ impl Round {
         };
         (from, to)
     }
+}
+
+/// Frames of history from which a pixel takes nothing from its neighbours; 0: every pixel takes.
+/// History grows old where anything moves, so there every pixel takes.
+pub(crate) fn mature(settings: &Settings, still: bool) -> u32 {
+    if still { settings.mature } else { 0 }
 }
 
 /// What the previous frame left: a buffer of its own where the spatial result is kept, else the
@@ -250,6 +259,9 @@ pub(crate) fn add<R: StoredReservoir, P: Policy>(
         let pass = NewPass::pixels("shade", kernel::SHADE, vec![Plan::RADIANCE]);
         plan.pass(pass.rays(0, count(P::SHADES_BY_RAY), 0));
         return;
+    }
+    if temporal && mature(settings, still) > 0 {
+        plan.skip("neighbours of pixels with history enough (`mature`)", "nothing moves");
     }
     for round in (0..rounds).map(|round| Round::new(settings, round)) {
         let mut writes: Vec<BufferId> = round.to.into_iter().flat_map(record).collect();

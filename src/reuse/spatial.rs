@@ -159,7 +159,9 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
                 taps: [Tap::default(); MAX_NEIGHBOURS],
                 count: 0,
             };
-            self.find(&read, pixel, &mut found, &mut counters);
+            if !self.is_mature(&read.records[first]) {
+                self.find(&read, pixel, &mut found, &mut counters);
+            }
             let mut sum = Vec3::ZERO;
             for (chain, at) in own.enumerate() {
                 let control = match (P::CONTROL, in_place) {
@@ -194,6 +196,15 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
             }
         }
         counters + D::work(&map)
+    }
+
+    /// Whether a pixel has history enough to go without its neighbours. Its confidence says so, which
+    /// depends on where surfaces were found again, and on no sample.
+    #[inline]
+    fn is_mature(&self, record: &D::Record) -> bool {
+        let mature = passes::mature(&self.settings, self.domain.frame().plan.still);
+        // The canonical sample of this frame counts as one more.
+        mature > 0 && record.confidence() > mature as f32
     }
 
     /// Finds the taps of a pixel whose surfaces fit.
@@ -335,7 +346,7 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
         let bits = if decoupled {
             self.policy.traced(other.policy_bits(), seen.inputs[source])
         } else {
-            self.policy.from_afar(other.policy_bits(), others.found.taps[source - 1].distance)
+            self.policy.pixels_away(other.policy_bits(), others.found.taps[source - 1].distance)
         };
         (other.age(), bits)
     }

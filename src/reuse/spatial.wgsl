@@ -12,6 +12,7 @@
 
 override FAMILY: u32 = 5u;
 override NEIGHBOURS: u32 = 1u;
+override MATURE: u32 = 0u;
 override B_FROM: u32 = 0u;
 override B_TO: u32 = 0u;
 //#if CONTROL
@@ -105,7 +106,10 @@ fn spatial(pixel: u32, x: u32, y: u32) {
     if scatters {
         let hit = primary_hit(pixel);
         m.receiver = receiver_new(NOW, hit, primary_direction(x, y));
-        found = find_taps(&m, hit.t, pixel, x, y);
+        // A pixel with history enough goes without its neighbours.
+        if MATURE == 0u || record_confidence(first) <= f32(MATURE) {
+            found = find_taps(&m, hit.t, pixel, x, y);
+        }
     }
     var sum = vec3f(0.0);
     for (var chain = 0u; chain < chains(); chain++) {

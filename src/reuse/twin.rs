@@ -1,7 +1,7 @@
 //! The passes' twins for graphics processors: which WGSL they are made of, and its constants, for
 //! any domain and policy.
 
-use super::passes::{ControlPlace, Keys, NORMALS, Place, Round, kernel};
+use super::passes::{ControlPlace, Keys, NORMALS, Place, Round, kernel, mature};
 use super::policy::{Policy, StoredOutcome, WithPolicy};
 use super::{Settings, StoredReservoir, Taps, Visibility, boiling_limit};
 use crate::plan::{BufferKey, Plan};
@@ -214,6 +214,7 @@ fn spatial<R: StoredReservoir>(
         ("FAMILY", number(settings.mis)),
         ("NEIGHBOURS", f64::from(settings.neighbours)),
         ("RADIUS", f64::from(settings.radius)),
+        ("MATURE", f64::from(mature(settings, plan.still))),
         ("ROUND", f64::from(round.number)),
         ("B_FROM", id(plan, Keys::<R>::at(round.from))),
     ]);

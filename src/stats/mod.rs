@@ -6,7 +6,7 @@
 //! | is a mean right? | [`t_test`], [`welch`], [`equivalence`] with its three-way [`Verdict`] |
 //! | many tests at once? | [`holm`], [`sidak`], [`benjamini_hochberg`], [`two_stage`] |
 //! | same distribution? | [`ks_uniform`], [`ks_two_sample`] |
-//! | is a picture right? | [`Restarts::compare`] with a [`Reference`]: image, tiles, pixels |
+//! | is a picture right? | [`Restarts::compare`] with a [`Truth`]: image, tiles, pixels |
 //! | is it surely right in every part and age? | [`Restarts::parts`] judged by [`agreement`]: intersection-union and Holm |
 //! | is an expectation exactly right? | [`enumerate`], [`expectation`]: every outcome, exact probabilities; [`enumerate_f64`] for weights in `f32` |
 //! | how many samples? | [`samples_for_bias`], [`detectable_bias`] |
@@ -33,4 +33,4 @@ pub use multiple::{
     KolmogorovSmirnov, TwoStage, benjamini_hochberg, detectable_bias, holm, ks_two_sample,
     ks_uniform, samples_for_bias, sidak, sidak_p, two_stage,
 };
-pub use picture::{Criteria, PictureTest, Reference, Restarts, TileTest};
+pub use picture::{Criteria, PictureTest, Restarts, TileTest, Truth};

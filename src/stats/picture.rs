@@ -220,7 +220,7 @@ impl Restarts {
     /// # Errors
     ///
     /// If the sizes differ.
-    pub fn compare(&self, reference: &Reference, criteria: &Criteria) -> Result<PictureTest> {
+    pub fn compare(&self, reference: &Truth, criteria: &Criteria) -> Result<PictureTest> {
         self.layout.check("a reference", reference.mean.len())?;
         if reference.width != self.layout.width {
             return Err(Error::invalid(format!(
@@ -228,7 +228,7 @@ impl Restarts {
                 reference.width, self.layout.width
             )));
         }
-        let side = ReferenceSide::new(reference, &self.layout);
+        let side = TruthSide::new(reference, &self.layout);
         Ok(compare(self, &side, &self.layout, criteria, self.count(), self.not_finite))
     }
 
@@ -250,9 +250,9 @@ impl Restarts {
     /// # Errors
     ///
     /// If the sizes differ.
-    pub fn parts(&self, reference: &Reference, tolerance: &Tolerance) -> Result<Vec<Part>> {
+    pub fn parts(&self, reference: &Truth, tolerance: &Tolerance) -> Result<Vec<Part>> {
         self.layout.check("a reference", reference.mean.len())?;
-        let side = ReferenceSide::new(reference, &self.layout);
+        let side = TruthSide::new(reference, &self.layout);
         let floor = tolerance.tile_floor * side.image(LUMINANCE).mean.abs();
         let mut parts = Vec::new();
         let mut add = |place, delta, floor: f64, of: &dyn Fn(usize) -> Option<[Estimate; 2]>| {
@@ -314,14 +314,14 @@ impl Side for Restarts {
 /// its channels allow, (Σ wᵢ σᵢ)²: channels of one path are strongly correlated, and the stored variance does not tell how
 /// strongly.
 #[derive(Clone, Debug)]
-pub struct Reference {
+pub struct Truth {
     width: usize,
     mean: Vec<Vec3>,
     variance: Option<Vec<Vec3>>,
     dof: f64,
 }
 
-impl Reference {
+impl Truth {
     /// A reference without any error: an analytic answer.
     ///
     /// # Errors
@@ -396,14 +396,14 @@ impl Reference {
 }
 
 /// A reference's estimates over the tiles of a picture.
-struct ReferenceSide<'a> {
-    reference: &'a Reference,
+struct TruthSide<'a> {
+    reference: &'a Truth,
     image: [Estimate; QUANTITIES],
     tiles: Vec<Option<[Estimate; QUANTITIES]>>,
 }
 
-impl<'a> ReferenceSide<'a> {
-    fn new(reference: &'a Reference, layout: &Layout) -> Self {
+impl<'a> TruthSide<'a> {
+    fn new(reference: &'a Truth, layout: &Layout) -> Self {
         let means = layout.tile_sums(|i| quantities(reference.mean[i]));
         let variances = layout.tile_sums(|i| reference.pixel_variance(i));
         let squares = layout.tile_sums(|i| reference.pixel_variance(i).map(|v| v * v));
@@ -434,7 +434,7 @@ impl<'a> ReferenceSide<'a> {
     }
 }
 
-impl Side for ReferenceSide<'_> {
+impl Side for TruthSide<'_> {
     fn image(&self, quantity: usize) -> Estimate {
         self.image[quantity]
     }
@@ -658,8 +658,8 @@ mod tests {
         all
     }
 
-    fn exact() -> Reference {
-        Reference::exact(SIZE, SIZE, (0..PIXELS).map(truth).collect()).unwrap()
+    fn exact() -> Truth {
+        Truth::exact(SIZE, SIZE, (0..PIXELS).map(truth).collect()).unwrap()
     }
 
     #[test]
@@ -749,11 +749,11 @@ mod tests {
         let mean: Vec<Vec3> = (0..PIXELS).map(|i| truth(i) * 1.01).collect();
         let noise = 0.005 * (PIXELS as f32).sqrt();
         let variance = mean.iter().map(|m| (*m * noise).powf(2.0)).collect();
-        let noisy = Reference::with_variance(SIZE, SIZE, mean.clone(), variance, 15.0).unwrap();
+        let noisy = Truth::with_variance(SIZE, SIZE, mean.clone(), variance, 15.0).unwrap();
         let runs = restarts(40, 8, |_| Vec3::ONE);
-        let verdict = |r: &Reference| runs.compare(r, &Criteria::default()).unwrap().verdict;
+        let verdict = |r: &Truth| runs.compare(r, &Criteria::default()).unwrap().verdict;
         assert_eq!(verdict(&noisy), Verdict::Inconclusive);
-        assert_eq!(verdict(&Reference::exact(SIZE, SIZE, mean).unwrap()), Verdict::Fail);
+        assert_eq!(verdict(&Truth::exact(SIZE, SIZE, mean).unwrap()), Verdict::Fail);
     }
 
     #[test]
@@ -784,7 +784,7 @@ mod tests {
             // The upper left quarter is nearly black; blue is a quarter of red.
             all.push(&picture(20_000 + run, |i| Vec3::splat(dim(i)))).unwrap();
         }
-        let dark = Reference::exact(SIZE, SIZE, (0..PIXELS).map(|i| truth(i) * dim(i)).collect());
+        let dark = Truth::exact(SIZE, SIZE, (0..PIXELS).map(|i| truth(i) * dim(i)).collect());
         let parts = all.parts(&dark.unwrap(), &tolerance).unwrap();
         assert_eq!(parts.len(), 4 + 4 * 4);
         let image = parts[0].scale;
@@ -853,8 +853,8 @@ mod tests {
         let mut r = Restarts::new(4, 4, 2, None).unwrap();
         let message = r.push(&[Vec3::ONE; 3]).unwrap_err().to_string();
         assert_eq!(message, "a picture of 3 values, but 4 x 4 pixels need 16");
-        let narrow = Reference::exact(2, 8, vec![Vec3::ONE; 16]).unwrap();
+        let narrow = Truth::exact(2, 8, vec![Vec3::ONE; 16]).unwrap();
         assert!(r.compare(&narrow, &Criteria::default()).unwrap_err().is_invalid());
-        assert!(Reference::exact(1, 1, vec![Vec3::NAN]).is_err());
+        assert!(Truth::exact(1, 1, vec![Vec3::NAN]).is_err());
     }
 }

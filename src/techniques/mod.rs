@@ -5,23 +5,25 @@
 
 mod path_tracer;
 mod restir_di;
+mod rung;
 
 use std::fmt;
 
 pub use crate::spec::{Parameter, Values};
 pub use path_tracer::{LightSampling, PathTracer};
 pub use restir_di::{LightTiles, RestirDi};
+pub use rung::{Moving, Rung};
 
 use crate::counters::Counters;
 use crate::error::{Error, Result, suggest};
 use crate::pass::{Band, FrameInputs};
-use crate::plan::{Plan, SceneFacts, Shot};
+use crate::plan::{BufferPlan, Plan, SceneFacts, Shot};
 pub use crate::twin::Twin;
 
 /// A rendering method.
 ///
 /// Laws, which one test holds every entry of [`REGISTRY`] to:
-/// 1. `parse(technique.spec())` gives the same technique.
+/// 1. Its entry makes the same technique of `technique.spec()`.
 /// 2. A kernel's writes depend on its inputs only, not on how the picture is cut into bands.
 /// 3. The mean over runs agrees with `plan().claim`.
 /// 4. No frame uses more rays of a kind than `plan().rays_per_pixel()` says.
@@ -46,6 +48,12 @@ pub trait Technique: fmt::Debug + Send + Sync {
     fn twin(&self, _kernel: u32, _plan: &Plan) -> Option<Twin> {
         None
     }
+
+    /// What one element of a buffer of the technique's plan says to people, as names and values: what
+    /// `inspect` prints of a pixel. Nothing for buffers that say nothing.
+    fn describe(&self, _buffer: &BufferPlan, _element: &[u32]) -> Vec<(&'static str, String)> {
+        Vec::new()
+    }
 }
 
 /// A line of the [`REGISTRY`].
@@ -59,25 +67,66 @@ pub struct Entry {
     pub parameters: fn() -> Vec<Parameter>,
     /// Builds the technique from given values, each of a key that `parameters` lists.
     pub build: fn(&Values) -> Result<Box<dyn Technique>>,
+    /// How it is tested part by part; none: [`Rung::DEFAULT`].
+    pub rungs: &'static [Rung],
+    /// Parameters (`key=value,key=value`) beside the defaults that tests shall run through.
+    pub variants: fn() -> Vec<String>,
+}
+
+impl Entry {
+    /// The technique with parameters `key=value,key=value`; none are the defaults.
+    ///
+    /// # Errors
+    /// Unknown keys list what exists, nearest first; values out of range say what is allowed.
+    pub fn parse(&self, pairs: &str) -> Result<Box<dyn Technique>> {
+        let parameters = (self.parameters)();
+        let keys: Vec<&str> = parameters.iter().map(|parameter| parameter.key).collect();
+        (self.build)(&Values::parse(&self.spec(pairs), self.name, pairs, &keys)?)
+    }
+
+    /// Its rungs, or those of a technique that has none.
+    #[must_use]
+    pub fn ladder(&self) -> &'static [Rung] {
+        if self.rungs.is_empty() { Rung::DEFAULT } else { self.rungs }
+    }
+
+    /// The SPECs that tests shall run through: the name alone, and with each of its variants.
+    #[must_use]
+    pub fn specs(&self) -> Vec<String> {
+        let variants = (self.variants)();
+        let specs = variants.iter().map(|pairs| self.spec(pairs));
+        [self.name.to_string()].into_iter().chain(specs).collect()
+    }
+
+    fn spec(&self, pairs: &str) -> String {
+        if pairs.is_empty() { self.name.to_string() } else { format!("{}:{pairs}", self.name) }
+    }
 }
 
 /// All techniques.
 pub const REGISTRY: &[Entry] =
     &[path_tracer::BSDF, path_tracer::NEE, restir_di::RIS, restir_di::RESTIR_DI];
 
-/// The technique that a SPEC names.
+/// The registered technique that a SPEC names.
 ///
 /// # Errors
 /// Unknown names and keys list what exists, nearest first; values out of range say what is allowed.
 pub fn parse(spec: &str) -> Result<Box<dyn Technique>> {
-    let (name, rest) = spec.split_once(':').unwrap_or((spec, ""));
-    let names: Vec<&str> = REGISTRY.iter().map(|entry| entry.name).collect();
-    let entry = REGISTRY.iter().find(|entry| entry.name == name).ok_or_else(|| {
+    let (entry, pairs) = find(REGISTRY, spec)?;
+    entry.parse(pairs)
+}
+
+/// The entry that a SPEC names, of [`REGISTRY`] or of a host's own, and the SPEC's parameters.
+///
+/// # Errors
+/// An unknown name lists what exists, nearest first.
+pub fn find<'e, 's>(entries: &'e [Entry], spec: &'s str) -> Result<(&'e Entry, &'s str)> {
+    let (name, pairs) = spec.split_once(':').unwrap_or((spec, ""));
+    let entry = entries.iter().find(|entry| entry.name == name).ok_or_else(|| {
+        let names: Vec<&str> = entries.iter().map(|entry| entry.name).collect();
         Error::usage(format!("no technique is called `{name}`; {}", suggest(name, &names)))
     })?;
-    let parameters = (entry.parameters)();
-    let keys: Vec<&str> = parameters.iter().map(|parameter| parameter.key).collect();
-    (entry.build)(&Values::parse(spec, name, rest, &keys)?)
+    Ok((entry, pairs))
 }
 
 #[cfg(test)]
@@ -99,6 +148,13 @@ mod tests {
             }
         }
         assert_eq!(parse("nee:roulette=3").unwrap().spec(), "nee:roulette=3");
+    }
+
+    #[test]
+    fn every_variant_parses() {
+        for spec in REGISTRY.iter().flat_map(Entry::specs) {
+            parse(&spec).unwrap();
+        }
     }
 
     #[test]

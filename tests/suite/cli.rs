@@ -104,6 +104,11 @@ fn wrong_input_is_status_two_and_one_line_that_lists_what_exists() {
     let scene = cornell();
     std::fs::write(place.path("bad.exr"), b"no picture").unwrap();
     std::fs::write(place.path("bad.pbrt"), b"WorldBegin Shape \"cube\"").unwrap();
+    std::fs::write(
+        place.path("dark.pbrt"),
+        b"Camera \"perspective\"\nWorldBegin\nShape \"sphere\"\n",
+    )
+    .unwrap();
     for (line, parts) in [
         (
             format!("render {scene} --technique ne"),
@@ -130,7 +135,7 @@ fn wrong_input_is_status_two_and_one_line_that_lists_what_exists() {
         (format!("inspect {scene} --technique nee --pixel 999,0 --size 8x8"), vec!["999,0", "8x8"]),
         ("diff bad.exr bad.exr".to_string(), vec!["bad.exr"]),
         ("generate many-lights:x".to_string(), vec!["many-lights:N"]),
-        (format!("compare {} --warmup", moving), vec!["--warmup", "does not move"]),
+        (format!("compare {} --warmup", moving), vec!["`warmup`", "does not move"]),
         (format!("verify nee {scene} --ages 0,5"), vec!["0,5", "1,5,20"]),
         (format!("verify nee {scene} --delta 0"), vec!["percent"]),
         (format!("verify nee {scene} --rungs still"), vec!["--ladder"]),
@@ -141,6 +146,14 @@ fn wrong_input_is_status_two_and_one_line_that_lists_what_exists() {
         (format!("verify ne {scene} --ladder"), vec!["no technique is called `ne`"]),
         (format!("verify nee {scene} --ladder --reference bad.exr"), vec!["--reference"]),
         ("verify nee --ladder".to_string(), vec!["no scene is given", "scenes/penumbra.pbrt"]),
+        (format!("verify nee {scene} --ladder --motion light"), vec!["--motion", "ladder"]),
+        (format!("compare {scene} --motion sideways"), vec!["sideways", "occluder", "(0, 0.1]"]),
+        (format!("compare {scene} --motion light:0.5"), vec!["light:0.5", "(0, 0.1]"]),
+        (format!("render {scene} --look-at 0,1,2"), vec!["0,1,2", "nine numbers"]),
+        (format!("render {scene} --look-at 0,1,2,0,1,2,0,1,0"), vec!["target is its eye"]),
+        (format!("render {scene} --look-at 0,1,2,0,5,2,0,1,0"), vec!["up vector"]),
+        (format!("verify nee {scene} --look-at nan,1,2,0,5,2,0,1,0"), vec!["finite"]),
+        ("render dark.pbrt --motion light".to_string(), vec!["no light that could move"]),
         (format!("lag {scene}"), vec!["--technique"]),
         ("lag many-lights:3 --technique ne".to_string(), vec!["known: nee, ris"]),
         (format!("lag {scene} --technique nee --reference bad.exr"), vec!["--reference"]),
@@ -185,7 +198,7 @@ fn compare_writes_what_it_promises_and_uses_its_cache() {
     assert!(results.command.starts_with("afterimage compare ") && !results.interrupted);
     assert_eq!(results.rows.len(), afterimage::techniques::REGISTRY.len());
     for row in &results.rows {
-        assert_eq!((row.frames, row.restarts, row.budget.effort, row.non_finite), (2, 3, 1, 0));
+        assert_eq!((row.frames, row.restarts, row.budget.effort, row.non_finite), (2, 3, 1.0, 0));
         assert!(
             row.ms_per_frame.median > 0.0 && row.ms_per_frame.first > 0.0 && !row.passes.is_empty()
         );
@@ -228,6 +241,33 @@ fn compare_writes_what_it_promises_and_uses_its_cache() {
     let third = place.run(&line.replace("first", "third")).done();
     assert!(third.err.contains("checksum") && third.err.contains("made anew"), "{third:?}");
     assert_eq!(place.results("third").reference.source, "made");
+}
+
+#[test]
+fn frame_times_have_intervals_and_are_measured_again() {
+    let place = Place::new("times");
+    let line = format!(
+        "compare {} --size 24x24 --depth 2 --frames 3 --restarts 4 --curve-restarts 1 --reference-time 2 --techniques nee;restir-di",
+        cornell()
+    );
+    let ran = place.run(&format!("{line} --frame-time 6 --out timed")).done();
+    assert!(ran.out.contains(" ± "), "{}", ran.out);
+    let results = place.results("timed");
+    assert_eq!(results.rows.iter().map(|row| row.whole_effort).collect::<Vec<_>>(), [false, true]);
+    for row in &results.rows {
+        let time = &row.ms_per_frame;
+        let [low, high] = time.ci.unwrap();
+        assert!(low < high && time.calibrated.unwrap() > 0.0 && time.recalibrated.unwrap() > 0.0);
+        assert!(!(row.whole_effort && row.budget.over_budget), "{row:?}");
+    }
+    let csv = std::fs::read_to_string(place.path("timed/table.csv")).unwrap();
+    assert!(csv.starts_with("technique,") && csv.contains(",ms_median,ms_low,ms_high,"), "{csv}");
+    // With a number of estimates there is no time to keep, so none is measured again.
+    place.run(&format!("{line} --spp 1 --out counted")).done();
+    for row in &place.results("counted").rows {
+        assert_eq!((row.ms_per_frame.calibrated, row.ms_per_frame.drift()), (None, None));
+        assert!(row.ms_per_frame.ci.is_some());
+    }
 }
 
 #[test]
@@ -287,6 +327,54 @@ fn a_ladder_prints_and_writes_a_row_a_rung() {
     let row =
         |ran: &Ran| ran.out.lines().find(|l| l.contains("occluder |")).unwrap().replace(' ', "");
     assert_eq!(row(&alone), row(&again));
+}
+
+#[test]
+fn motion_and_camera_are_part_of_the_scene_that_references_are_of() {
+    let place = Place::new("motion");
+    let line = format!(
+        "compare {} --size 32x32 --depth 2 --spp 8 --restarts 12 --curve-restarts 0 --techniques nee --reference-time 4",
+        cornell()
+    );
+    let moved = format!("{line} --motion light:0.05 --frames 5");
+    let verdict = |folder: &str| place.results(folder).rows[0].bias.clone().unwrap().verdict;
+    let cached = || std::fs::read_dir(place.path("cache/afterimage")).unwrap().count();
+
+    // The reference is that of the frame that is judged; the first frame's is wrong for the fifth.
+    place.run(&format!("{moved} --out fifth")).done();
+    assert_ne!(verdict("fifth"), "fail");
+    place.run(&format!("{moved} --frames 1 --out first").replace("--frames 5 ", "")).done();
+    assert_ne!(verdict("first"), "fail");
+    assert_eq!(cached(), 2);
+    place.run(&format!("{moved} --reference first/reference.exr --out wrong")).done();
+    assert_eq!(verdict("wrong"), "fail");
+    assert!(place.results("fifth").command.contains("--motion light:0.05"));
+
+    // Another speed and another camera are other pictures.
+    for (more, known) in
+        [("--motion light:0.04 --frames 5", 3), ("--look-at 0,1,-4,0,1,0,0,1,0", 4)]
+    {
+        let ran = place.run(&format!("{line} {more} --out other")).done();
+        assert_eq!(cached(), known, "{more}");
+        assert!(!ran.err.contains("warning"), "{ran:?}");
+    }
+
+    // What slides with the camera's picture: the lamp, which is seen without noise.
+    let emission = |more: &str| {
+        place.run(&format!("render {} --size 32x32 {more} --out shown.exr", cornell())).done();
+        read_exr(&place.path("shown.exr")).unwrap().emission.unwrap()
+    };
+    let slid = "--filter point --motion camera:0.05";
+    let [first, third] = [1, 3].map(|frame| emission(&format!("{slid} --frames {frame}")));
+    assert_eq!(first, emission("--filter point --frames 1"), "the first frame is the file's");
+    assert_ne!(first, third);
+    // The file's own camera, given again.
+    let own = "--look-at 0,1.6,-5.2,0,1.6,0,0,1,0";
+    assert_eq!(first, emission(&format!("--filter point --frames 1 {own}")));
+
+    let line = format!("verify nee {} --depth 2 --ages 1,3 --delta 10 {ITSELF}", cornell());
+    let ran = place.run(&format!("{line} --motion occluder:0.02")).done();
+    assert!(ran.out.contains("verdict    pass"), "{ran:?}");
 }
 
 #[test]

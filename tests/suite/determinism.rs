@@ -6,7 +6,7 @@ use afterimage::counters::Counters;
 use afterimage::frame::{FrameLoop, Stage};
 use afterimage::plan::{Filter, Shot};
 use afterimage::scene::{Curve, Interpolation, LightKind, Scene, Track, Transform};
-use afterimage::techniques::{REGISTRY, parse};
+use afterimage::techniques::{Entry, REGISTRY};
 use glam::{Affine3A, Quat, Vec3};
 use rayon::ThreadPoolBuilder;
 
@@ -56,8 +56,8 @@ fn frames(frame_loop: &mut FrameLoop) -> Run {
         .collect()
 }
 
-fn start(stage: &Stage, name: &str, shot: Shot) -> FrameLoop {
-    FrameLoop::new(Arc::from(parse(name).unwrap()), stage, shot).unwrap()
+fn start(stage: &Stage, entry: &Entry, shot: Shot) -> FrameLoop {
+    FrameLoop::new(Arc::from(entry.parse("").unwrap()), stage, shot).unwrap()
 }
 
 fn shots() -> Vec<Shot> {
@@ -74,15 +74,20 @@ fn shots() -> Vec<Shot> {
 
 #[test]
 fn one_two_and_64_threads_give_the_same_bits() {
+    check_threads(REGISTRY);
+}
+
+/// Any number of threads gives the same bits.
+pub(crate) fn check_threads(entries: &[Entry]) {
     let pools = [1, 2, 64].map(|n| ThreadPoolBuilder::new().num_threads(n).build().unwrap());
     for moving in [false, true] {
         let stage = Stage::new(scene(moving)).unwrap();
         assert_eq!(stage.facts().moves(), moving);
-        for entry in REGISTRY {
+        for entry in entries {
             for shot in shots() {
                 let [one, two, many] = pools
                     .each_ref()
-                    .map(|pool| pool.install(|| frames(&mut start(&stage, entry.name, shot))));
+                    .map(|pool| pool.install(|| frames(&mut start(&stage, entry, shot))));
                 assert!(one == two && one == many, "{} {shot:?}", entry.name);
                 let changes = one.windows(2).all(|pair| pair[0].0 != pair[1].0);
                 assert!(changes || shot.size == [1, 1], "{} repeats a frame", entry.name);
@@ -93,13 +98,18 @@ fn one_two_and_64_threads_give_the_same_bits() {
 
 #[test]
 fn a_seed_repeats_and_another_does_not() {
+    check_seeds(REGISTRY);
+}
+
+/// A run repeats bit by bit, and another does not.
+pub(crate) fn check_seeds(entries: &[Entry]) {
     for moving in [false, true] {
         let stage = Stage::new(scene(moving)).unwrap();
-        for entry in REGISTRY {
+        for entry in entries {
             for shot in shots() {
-                let mut frame_loop = start(&stage, entry.name, shot);
+                let mut frame_loop = start(&stage, entry, shot);
                 let first = frames(&mut frame_loop);
-                assert_eq!(first, frames(&mut start(&stage, entry.name, shot)));
+                assert_eq!(first, frames(&mut start(&stage, entry, shot)));
                 frame_loop.restart(shot.run + 1);
                 let other = frames(&mut frame_loop);
                 if shot.size == [64, 64] {

@@ -1,4 +1,5 @@
-//! The laws in the documentation of `Technique`, for every entry of the registry.
+//! The laws in the documentation of `Technique`, for every entry of the registry. Each is a
+//! function of any entries, so that `outside` holds a technique to them that is not registered.
 //!
 //! The third, that means agree with claims, is what `oracles` tests for unbiased ones; here a
 //! biased one must be what it says.
@@ -10,7 +11,7 @@ use afterimage::frame::{FrameLoop, Stage};
 use afterimage::pass::{Band, Buffer, FrameInputs, MAX_WRITES, PrimaryHit, TileGrid};
 use afterimage::plan::{BufferPlan, Claim, Domain, Elements, Filter, Kernel, Plan, Runs, Shot};
 use afterimage::scene::{LightKind, Scalar, Scene};
-use afterimage::techniques::{REGISTRY, Technique, parse};
+use afterimage::techniques::{Entry, REGISTRY, Technique, find, parse};
 use glam::{Affine3A, Vec3};
 
 use crate::support::{bits, environment, light, room, shot};
@@ -53,9 +54,20 @@ fn shots() -> Vec<Shot> {
     all
 }
 
+/// The technique that a SPEC names, of some entries.
+fn made(entries: &[Entry], spec: &str) -> afterimage::Result<Arc<dyn Technique>> {
+    let (entry, pairs) = find(entries, spec)?;
+    entry.parse(pairs).map(Arc::from)
+}
+
 #[test]
 fn a_spec_gives_the_same_technique_again() {
-    for entry in REGISTRY {
+    check_specs(REGISTRY);
+}
+
+/// Every SPEC gives a technique whose own SPEC gives the same.
+pub(crate) fn check_specs(entries: &[Entry]) {
+    for entry in entries {
         let mut specs = vec![entry.name.to_string()];
         for parameter in (entry.parameters)() {
             for value in ["0", "1", "2", "3", "7", "0.5", "true", "false", &parameter.default] {
@@ -64,9 +76,9 @@ fn a_spec_gives_the_same_technique_again() {
         }
         let mut known = 0;
         for spec in specs {
-            let Ok(technique) = parse(&spec) else { continue };
+            let Ok(technique) = made(entries, &spec) else { continue };
             known += 1;
-            let again = parse(&technique.spec()).unwrap();
+            let again = made(entries, &technique.spec()).unwrap();
             assert_eq!(again.spec(), technique.spec());
             assert_eq!(format!("{again:?}"), format!("{technique:?}"), "{spec}");
         }
@@ -80,22 +92,39 @@ fn a_spec_gives_the_same_technique_again() {
 
 #[test]
 fn names_are_unique_and_parameters_described() {
-    for (i, entry) in REGISTRY.iter().enumerate() {
-        assert!(REGISTRY[..i].iter().all(|other| other.name != entry.name));
+    check_entries(REGISTRY);
+}
+
+/// Names are told apart, texts are there, variants and rungs parse.
+pub(crate) fn check_entries(entries: &[Entry]) {
+    for (i, entry) in entries.iter().enumerate() {
+        assert!(entries[..i].iter().all(|other| other.name != entry.name));
         assert!(!entry.about.is_empty());
         for parameter in (entry.parameters)() {
             assert!(!parameter.about.is_empty() && !parameter.default.is_empty());
+        }
+        for keys in (entry.variants)() {
+            entry.parse(&keys).unwrap();
+        }
+        for rung in entry.ladder() {
+            entry.parse(rung.keys).unwrap();
         }
     }
 }
 
 #[test]
 fn counters_stay_within_the_plan_and_buffers_within_reason() {
+    check_counters(REGISTRY);
+}
+
+/// No frame uses more rays than the plan says, rejects a weight or makes an estimate that is not
+/// finite.
+pub(crate) fn check_counters(entries: &[Entry]) {
     for scene in scenes() {
         let stage = Stage::new(scene).unwrap();
-        for entry in REGISTRY {
+        for entry in entries {
             for shot in shots() {
-                let technique: Arc<dyn Technique> = Arc::from(parse(entry.name).unwrap());
+                let technique = made(entries, entry.name).unwrap();
                 let known = has_effort(&*technique, &stage, shot);
                 let frame_loop = FrameLoop::new(technique, &stage, shot);
                 assert_eq!(frame_loop.is_ok(), known, "{} at {shot:?}", entry.name);
@@ -224,18 +253,23 @@ fn in_bands(technique: &dyn Technique, stage: &Stage, shot: Shot, rows: u32) -> 
 
 #[test]
 fn how_the_picture_is_cut_into_bands_changes_no_bit() {
+    // With light points made ahead and a pass over tiles of pixels, too.
+    check_bands(REGISTRY, &["restir-di:tiles=on,boiling=0.5"]);
+}
+
+/// Bands of any height, in any order, give the same picture; `more` are SPECs beside the entries'
+/// names.
+pub(crate) fn check_bands(entries: &[Entry], more: &[&str]) {
     for scene in scenes() {
         let stage = Stage::new(scene).unwrap();
-        // With light points made ahead and a pass over tiles of pixels, too.
-        let specs = REGISTRY.iter().map(|entry| entry.name);
-        for spec in specs.chain(["restir-di:tiles=on,boiling=0.5"]) {
+        let specs = entries.iter().map(|entry| entry.name);
+        for spec in specs.chain(more.iter().copied()) {
             for shot in shots() {
-                let technique = parse(spec).unwrap();
+                let technique = made(entries, spec).unwrap();
                 if !has_effort(&*technique, &stage, shot) {
                     continue;
                 }
-                let mut frame_loop =
-                    FrameLoop::new(Arc::from(parse(spec).unwrap()), &stage, shot).unwrap();
+                let mut frame_loop = FrameLoop::new(technique.clone(), &stage, shot).unwrap();
                 let whole = bits(&frame_loop.render().unwrap().picture());
                 for rows in [1, 5, 13] {
                     assert_eq!(whole, in_bands(&*technique, &stage, shot, rows), "{spec}");
@@ -313,7 +347,8 @@ fn a_fraction_of_effort_gives_some_pixels_one_estimate_more() {
             }
         }
         assert!(control < 40, "{spec}: a wrong mean is not told from a right one {control} times");
-        // A binomial of 60 with p = 0.4 has a standard deviation of 3.8: beyond 5 of them lies 10⁻⁶.
+        // A binomial of 60 with p = 0.4 has a standard deviation of 3.8: beyond 5 of them lies
+        // 10⁻⁶.
         let often: Vec<u32> = thirds.iter().copied().filter(|count| *count > 0).collect();
         assert!(often.len() > pixels / 2, "{spec}: hardly any pixel tells two from three");
         assert!(often.iter().all(|count| *count <= 24 + 19), "{spec}: {often:?}");

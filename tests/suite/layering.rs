@@ -86,8 +86,29 @@ const TABLE: &[(&str, &[&str])] = &[
     ),
     ("report", &["metrics", "picture", "stats", "math", "plan", "counters"]),
     (
+        "experiment",
+        &[
+            "report",
+            "frame",
+            "techniques",
+            "reuse",
+            "plan",
+            "path",
+            "counters",
+            "world",
+            "light",
+            "accel",
+            "scene",
+            "metrics",
+            "picture",
+            "stats",
+            "math",
+        ],
+    ),
+    (
         "cli",
         &[
+            "experiment",
             "report",
             "frame",
             "gpu",
@@ -264,8 +285,8 @@ fn the_table_has_no_cycles() {
     }
 }
 
-/// Path seeds are made at one door, `FrameInputs::seeds`: what seeds are can change without a word to
-/// any technique.
+/// Path seeds are made at one door, `FrameInputs::seeds`: what seeds are can change without a word
+/// to any technique.
 #[test]
 fn path_seeds_are_made_at_one_place() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");

@@ -14,6 +14,8 @@ mod loaders;
 mod metamorphic;
 mod mutations;
 mod oracles;
+#[cfg(feature = "experiment")]
+mod outside;
 #[cfg(feature = "cli")]
 mod peer;
 mod planted;

@@ -68,9 +68,9 @@ fn covariance_falls_and_the_error_stays() {
     let size = [64, 48];
     let (first, other) = (20_000, 30_000);
     for (scene, base, expected) in [
-        ("penumbra", "restir-di:cap=50,visibility=trace", Expect::Equivalent),
-        ("penumbra", "restir-di:visibility=in-target", Expect::Better),
-        ("cornell", "restir-di:cap=50,neighbours=3", Expect::Better),
+        ("penumbra", "restir-di:cap=50,visibility=trace,taps=random,mature=0", Expect::Equivalent),
+        ("penumbra", "restir-di:visibility=in-target,taps=random,mature=0", Expect::Better),
+        ("cornell", "restir-di:cap=50,neighbours=3,taps=random,mature=0", Expect::Better),
     ] {
         let path = root.join("scenes").join(scene).with_extension("pbrt");
         let stage = Stage::new(load::load(&path).unwrap().scene).unwrap();

@@ -150,7 +150,7 @@ fn walked(world: &World, bug: Bug, shot: Shot) -> Picture {
                 walk(world, bug, seed, (ray.direction, &hit), shot.depth)
             });
             let sum = paths.fold(Vec3::ZERO, |sum, path| sum + path);
-            sum * (1.0 / shot.effort as f32)
+            sum * (1.0 / shot.effort)
         })
         .collect();
     Picture::new(width, height, pixels)

@@ -13,7 +13,7 @@ use afterimage::accel::Ray;
 use afterimage::frame::{FrameLoop, Stage};
 use afterimage::plan::{Filter, Shot};
 use afterimage::scene::{Material, Scalar, TextureKind, load};
-use afterimage::stats::{Criteria, PictureTest, Reference, Restarts, Verdict};
+use afterimage::stats::{Criteria, PictureTest, Restarts, Truth, Verdict};
 use afterimage::techniques::parse;
 use glam::{Affine2, Vec2, Vec3};
 
@@ -91,7 +91,7 @@ fn run(case: &Case) -> Option<(PictureTest, PictureTest)> {
     let file = shared(&format!("scenes/{scene}/scene.pbrt"))?;
     let (width, height, mean) = read_exr(&shared(&format!("references/{scene}.exr"))?);
     let (_, _, variance) = read_exr(&shared(&format!("references/{scene}_variance.exr"))?);
-    let reference = Reference::with_variance(width, height, mean, variance, 15.0).unwrap();
+    let reference = Truth::with_variance(width, height, mean, variance, 15.0).unwrap();
     let mut loaded = load::load(&file).unwrap().scene;
     // The reference reads pictures with their first row at t = 0, pbrt (and the scenes' own
     // published images) at t = 1.

@@ -316,7 +316,7 @@ fn with(keys: &str) -> String {
     if keys.is_empty() { base.into() } else { format!("{base},{keys}") }
 }
 
-const CONFIGURATIONS: [&str; 17] = [
+const CONFIGURATIONS: [&str; 21] = [
     "",
     "visibility=in-target",
     "visibility=bitterli",
@@ -334,6 +334,10 @@ const CONFIGURATIONS: [&str; 17] = [
     "rounds=2,visibility=wis-cv",
     "rounds=3,visibility=in-target",
     "tiles=on,bsdf=0",
+    "taps=xor,neighbours=3",
+    "spatial=display",
+    "spatial=display,rounds=3,visibility=wis-cv",
+    "taps=xor,mature=2",
 ];
 
 fn assert_all_unbiased(
@@ -1056,6 +1060,71 @@ fn one_two_and_64_threads_give_the_same_bits_for_every_policy() {
             assert!(one == two && one == many, "{keys}");
             assert!(one[1].0 != one[2].0, "{keys}: a frame repeats");
         }
+    }
+}
+
+/// Chain 0 of a pixel has the same bits whatever the effort, and chain 1 from an effort of 2 on: no
+/// chain takes anything from another. The picture is the mean of what the chains show alone, which
+/// the stored reservoirs of an effort of 1 and those of 3 say.
+#[test]
+fn chains_know_nothing_of_each_other() {
+    let course = moving_lights();
+    let stage = course.stage();
+    for keys in CONFIGURATIONS.iter().chain(&["neighbours=0", "cap=0,taps=xor", "boiling=0.5"]) {
+        for filter in [Filter::Point, Filter::Box] {
+            let records = |effort: f32| -> Vec<Vec<Record>> {
+                let shot = Shot { filter, effort, ..shot([21, 14], 2, 1) };
+                let technique = Arc::from(parse(&with(keys)).unwrap());
+                let mut frames = FrameLoop::new(technique, &stage, shot).unwrap();
+                (0..4)
+                    .map(|i| {
+                        let frame = frames.render_scene(course.frame(i)).unwrap();
+                        frame.buffer::<Record>("reservoirs").unwrap().to_vec()
+                    })
+                    .collect()
+            };
+            let chain = |records: &[Record], chain: usize, chains: usize| -> Vec<Record> {
+                records.iter().copied().skip(chain).step_by(chains).collect()
+            };
+            let [one, two, three] = [1.0, 2.0, 3.0].map(records);
+            for frame in 0..4 {
+                let at = format!("{keys} {filter:?} in frame {frame}");
+                assert_eq!(one[frame], chain(&two[frame], 0, 2), "{at}");
+                assert_eq!(one[frame], chain(&three[frame], 0, 3), "{at}");
+                assert_eq!(chain(&two[frame], 1, 2), chain(&three[frame], 1, 3), "{at}");
+                // Chains have numbers of their own.
+                let others = chain(&three[frame], 2, 3);
+                let same = one[frame].iter().zip(&others).filter(|(a, b)| a == b).count();
+                assert!(same < one[frame].len() * 3 / 4, "{at}: {same} records repeat");
+            }
+        }
+    }
+}
+
+/// Pixels that exchange their samples do it in pairs, and where the spatial result is not kept it
+/// leaves no trace in later frames.
+#[test]
+fn what_is_shown_only_leaves_no_trace() {
+    let course = moving_lights();
+    let stage = course.stage();
+    for policy in ["trace", "in-target", "reuse", "wis", "wis-cv"] {
+        let records = |keys: &str| -> Vec<Vec<Record>> {
+            let technique = Arc::from(parse(&with(keys)).unwrap());
+            let mut frames = FrameLoop::new(technique, &stage, shot([21, 14], 2, 1)).unwrap();
+            (0..5)
+                .map(|i| {
+                    let frame = frames.render_scene(course.frame(i)).unwrap();
+                    frame.buffer::<Record>("reservoirs").unwrap().to_vec()
+                })
+                .collect()
+        };
+        let alone = records(&format!("visibility={policy},neighbours=0"));
+        for rounds in [1, 2, 3] {
+            let shown = records(&format!("visibility={policy},spatial=display,rounds={rounds}"));
+            assert_eq!(alone, shown, "{policy}, {rounds} rounds");
+        }
+        // The control: a result that is kept does leave a trace.
+        assert_ne!(alone, records(&format!("visibility={policy}")), "{policy}");
     }
 }
 

@@ -11,7 +11,7 @@ use super::super::{Lanes, STORAGE_BUFFERS, Shader};
 use crate::frame::gpu::{lanes, twins};
 use crate::plan::{Filter, SceneFacts, Shot};
 use crate::scene::generate;
-use crate::techniques::{REGISTRY, parse};
+use crate::techniques::{Entry, REGISTRY, parse};
 use crate::twin::Module;
 use crate::world::World;
 
@@ -116,22 +116,7 @@ fn facts() -> Vec<SceneFacts> {
 }
 
 fn specs() -> Vec<String> {
-    let mut specs: Vec<String> = REGISTRY.iter().map(|entry| entry.name.to_string()).collect();
-    specs.push("nee:lights=all".into());
-    for policy in crate::reuse::Visibility::ALL.map(crate::reuse::Visibility::name) {
-        specs.push(format!("restir-di:visibility={policy}"));
-        specs.push(format!("restir-di:visibility={policy},neighbours=0"));
-        specs.push(format!("restir-di:visibility={policy},mutations=2,rounds=3"));
-        if policy != "wis" {
-            specs.push(format!("restir-di:visibility={policy},decoupled=true"));
-        }
-    }
-    for family in crate::resampling::Family::ALL {
-        specs.push(format!("restir-di:mis={},temporal-mis={0},neighbours=3", family.name()));
-    }
-    specs.push("restir-di:visibility=reuse,boiling=0.2,max-age=60".into());
-    specs.push("restir-di:cap=0".into());
-    specs
+    REGISTRY.iter().flat_map(Entry::specs).collect()
 }
 
 /// Scenes that have one thing of all that can be left out, and such that lack one.

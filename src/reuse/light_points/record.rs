@@ -92,6 +92,24 @@ impl Record {
         (self.packed >> 16) as u16
     }
 
+    /// Its fields for people, as names and values.
+    pub(crate) fn describe(&self) -> Vec<(&'static str, String)> {
+        let confidence = ("confidence", self.confidence().to_string());
+        let Finished { sample: Some(LightPoint { light, uv }), weight, .. } = self.finished()
+        else {
+            return vec![("sample", "none".to_string()), confidence];
+        };
+        vec![
+            ("light", light.to_string()),
+            ("at", format!("({:.3}, {:.3})", uv.x, uv.y)),
+            ("target", format!("{:.3e}", self.target)),
+            ("W", format!("{:.3e}", weight.get())),
+            confidence,
+            ("age", self.age().to_string()),
+            ("policy bits", format!("{:#06x}", self.policy_bits())),
+        ]
+    }
+
     /// The same without its sample; its confidence stays.
     #[inline]
     #[must_use]

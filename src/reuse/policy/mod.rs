@@ -81,7 +81,7 @@ pub(crate) trait Policy: Copy + Send + Sync {
     }
 
     /// The bits at a pixel that is `pixels` away.
-    fn from_afar(self, bits: u16, pixels: u32) -> u16 {
+    fn pixels_away(self, bits: u16, pixels: u32) -> u16 {
         let _ = pixels;
         bits
     }

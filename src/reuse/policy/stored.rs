@@ -28,7 +28,7 @@ impl Policy for StoredOutcome {
         Reused::unpack(bits).moved(1, 0).pack()
     }
 
-    fn from_afar(self, bits: u16, pixels: u32) -> u16 {
+    fn pixels_away(self, bits: u16, pixels: u32) -> u16 {
         Reused::unpack(bits).moved(0, pixels).pack()
     }
 

@@ -19,16 +19,19 @@
 
 mod kernels;
 mod plan;
+mod rungs;
 mod twin;
 
 use crate::counters::Counters;
 use crate::error::{Error, Result};
 use crate::pass::{Band, FrameInputs};
-use crate::plan::{Claim, Plan, SceneFacts, Shot};
+use crate::plan::{BufferPlan, Claim, Plan, SceneFacts, Shot};
 use crate::resampling::{
     Conditions, ControlVariate, Decoupled, Estimator, Family, Selected, WeightedVisibility,
 };
+use crate::reuse::light_points::Record;
 use crate::reuse::parameters::reuse_rows;
+use crate::reuse::passes::Keys;
 use crate::reuse::policy::StoredOutcome;
 use crate::reuse::{REUSE_AGE, REUSE_DISTANCE, Settings, SpatialUse, Taps, Visibility};
 use crate::spec::{self, Choice, Row, row};
@@ -98,6 +101,8 @@ pub(super) const RIS: Entry = Entry {
     build: |values| {
         Ok(Box::new(spec::build(RestirDi::ris(), &rows_of_ris(), values)?.validated()?))
     },
+    rungs: &[],
+    variants: Vec::new,
 };
 
 pub(super) const RESTIR_DI: Entry = Entry {
@@ -105,6 +110,8 @@ pub(super) const RESTIR_DI: Entry = Entry {
     about: "direct light with samples reused over frames and pixels (Bitterli et al. 2020, Lin et al. 2022); other light as nee",
     parameters: || spec::describe(&rows(), &RestirDi::default()),
     build: |values| Ok(Box::new(spec::build(RestirDi::default(), &rows(), values)?.validated()?)),
+    rungs: rungs::RUNGS,
+    variants: rungs::variants,
 };
 
 /// Whether light points are made ahead.
@@ -166,6 +173,9 @@ pub struct RestirDi {
     pub mis: Family,
     /// What becomes of the spatial result.
     pub spatial: SpatialUse,
+    /// Where nothing moves, frames of history from which a pixel takes nothing from its neighbours, in
+    /// [0, 250]; 0: every pixel always takes.
+    pub mature: u32,
     /// What is done with shadow rays. Visibility in the target is the default: of all policies it had the least relmse times time on
     /// `penumbra` and `many-lights:1000` (`docs/results.md`).
     pub visibility: Visibility,
@@ -201,10 +211,11 @@ impl Default for RestirDi {
             temporal_mis: Family::Balance,
             neighbours: 1,
             radius: 16.0,
-            taps: Taps::Random,
+            taps: Taps::Xor,
             rounds: 1,
             mis: Family::DefensivePairwise,
             spatial: SpatialUse::Feedback,
+            mature: 8,
             visibility: Visibility::InTarget,
             visibility_age: REUSE_AGE,
             visibility_distance: REUSE_DISTANCE,
@@ -282,7 +293,7 @@ impl RestirDi {
     /// The parameters of the passes of reuse.
     pub(crate) fn settings(&self) -> Settings {
         let Self { cap, temporal_mis, neighbours, radius, taps, rounds, mis, spatial, .. } = *self;
-        let Self { decoupled, mutations, boiling, max_age, .. } = *self;
+        let Self { mature, decoupled, mutations, boiling, max_age, .. } = *self;
         Settings {
             cap,
             temporal_mis,
@@ -292,6 +303,7 @@ impl RestirDi {
             rounds,
             mis,
             spatial,
+            mature,
             decoupled,
             mutations,
             boiling,
@@ -397,6 +409,13 @@ impl Technique for RestirDi {
 
     fn twin(&self, kernel: u32, plan: &Plan) -> Option<Twin> {
         Some(self.kernel_twin(kernel, plan))
+    }
+
+    fn describe(&self, buffer: &BufferPlan, element: &[u32]) -> Vec<(&'static str, String)> {
+        if Keys::<Record>::ALL.iter().all(|key| key.name != buffer.name) {
+            return Vec::new();
+        }
+        bytemuck::cast_slice::<u32, Record>(element).iter().flat_map(Record::describe).collect()
     }
 }
 

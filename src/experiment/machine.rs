@@ -2,9 +2,10 @@
 
 use std::process::Command;
 
-/// The commit this binary was built from: `AFTERIMAGE_COMMIT` of the build, else that of the checkout it was built in (with `+`
-/// where files differ from it), else `unknown`. A binary older than its checkout names the checkout's.
-pub(super) fn commit() -> String {
+/// The commit this binary was built from: `AFTERIMAGE_COMMIT` of the build, else that of the
+/// checkout it was built in (with `+` where files differ from it), else `unknown`. A binary older
+/// than its checkout names the checkout's.
+pub(crate) fn commit() -> String {
     if let Some(commit) = option_env!("AFTERIMAGE_COMMIT") {
         return commit.to_string();
     }
@@ -26,7 +27,7 @@ pub(super) fn commit() -> String {
 }
 
 /// Processor, threads in use, operating system.
-pub(super) fn describe() -> String {
+pub(crate) fn describe() -> String {
     let processor = std::fs::read_to_string("/proc/cpuinfo")
         .ok()
         .and_then(|text| {
@@ -36,19 +37,4 @@ pub(super) fn describe() -> String {
         })
         .unwrap_or_else(|| std::env::consts::ARCH.to_string());
     format!("{processor}, {} threads, {}", rayon::current_num_threads(), std::env::consts::OS)
-}
-
-/// The command line as it was typed, with the program's bare name; arguments with other than plain characters are quoted.
-pub(super) fn command() -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./:=,+@%".contains(c);
-    let mut words = vec!["afterimage".to_string()];
-    words.extend(std::env::args_os().skip(1).map(|a| {
-        let word = a.to_string_lossy().into_owned();
-        if !word.is_empty() && word.chars().all(plain) {
-            word
-        } else {
-            format!("'{}'", word.replace('\'', r"'\''"))
-        }
-    }));
-    words.join(" ")
 }

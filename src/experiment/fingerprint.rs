@@ -1,7 +1,7 @@
 //! What a scene's picture depends on, as bytes for a cache key.
 //!
-//! The *loaded* scene is hashed, not its files: that covers every file it refers to, a generator's output and a changed loader, and
-//! a comment in a file changes nothing.
+//! The *loaded* scene is hashed, not its files: that covers every file it refers to, a generator's
+//! output and a changed loader, and a comment in a file changes nothing.
 
 use std::fmt::{Debug, Write as _};
 use std::hash::Hasher;
@@ -9,7 +9,7 @@ use std::hash::Hasher;
 use crate::scene::{Geometry, Image, ImageData, Mesh, Object, Scene, Shape};
 
 /// Feeds everything but name, film and depth, which a run sets by itself.
-pub(super) fn feed(scene: &Scene, hasher: &mut dyn Hasher) {
+pub(crate) fn feed(scene: &Scene, hasher: &mut dyn Hasher) {
     // Destructured without `..`, so that a new field cannot be forgotten.
     let Scene {
         name: _,

@@ -1,32 +1,35 @@
-//! Whether a technique's mean is the reference's: the picture and its four quarters, over independent restarts.
+//! Whether a technique's mean is the reference's: the picture and its four quarters, over
+//! independent restarts.
 
 use crate::Result;
 use crate::report::{Bias, Reference};
 use crate::stats::{self, Criteria, PictureTest, Restarts};
 
 /// No restarts yet of a picture in four tiles.
-pub(super) fn restarts(size: [u32; 2]) -> Result<Restarts> {
+pub(crate) fn restarts(size: [u32; 2]) -> Result<Restarts> {
     let [width, height] = size.map(|side| side as usize);
-    // A tile of half the longer side gives two columns and two rows at most, and at least one of each.
+    // A tile of half the longer side gives two columns and two rows at most, and at least one of
+    // each.
     Restarts::new(width, height, width.max(height).div_ceil(2), None)
 }
 
-/// A reference as tests want it. One read from a file has no known variance and counts as exact.
-pub(super) fn truth(reference: &Reference) -> Result<stats::Reference> {
+/// The truth that tests compare with, as a reference gives it. One read from a file has no known
+/// variance and counts as exact.
+pub(crate) fn truth(reference: &Reference) -> Result<stats::Truth> {
     let Some(variance) = reference.pixel_variances() else { return exact(reference) };
     let [width, height] = reference.size().map(|side| side as usize);
     let dof = (reference.frames() - 1) as f64;
-    stats::Reference::with_variance(width, height, reference.picture().pixels, variance, dof)
+    stats::Truth::with_variance(width, height, reference.picture().pixels, variance, dof)
 }
 
 /// A reference's means as if they had no error.
-pub(super) fn exact(reference: &Reference) -> Result<stats::Reference> {
+pub(crate) fn exact(reference: &Reference) -> Result<stats::Truth> {
     let [width, height] = reference.size().map(|side| side as usize);
-    stats::Reference::exact(width, height, reference.picture().pixels)
+    stats::Truth::exact(width, height, reference.picture().pixels)
 }
 
 /// Tests restarts against a reference.
-pub(super) fn judge(
+pub(crate) fn judge(
     restarts: &Restarts,
     reference: &Reference,
     criteria: &Criteria,
@@ -34,8 +37,9 @@ pub(super) fn judge(
     restarts.compare(&truth(reference)?, criteria)
 }
 
-/// As `results.json` has it: the difference of mean luminance with its 95 % interval, relative to the reference.
-pub(super) fn report(test: &PictureTest) -> Bias {
+/// As `results.json` has it: the difference of mean luminance with its 95 % interval, relative to
+/// the reference.
+pub(crate) fn report(test: &PictureTest) -> Bias {
     let scale = test.reference_luminance.recip();
     let relative = test.relative();
     let (low, high) = test.luminance.test.interval(0.95);
@@ -49,8 +53,9 @@ pub(super) fn report(test: &PictureTest) -> Bias {
     }
 }
 
-/// Variance of a single restart's pixel, averaged over pixels and channels; infinite with fewer than two restarts.
-pub(super) fn mean_variance(restarts: &Restarts, pixels: usize) -> f64 {
+/// Variance of a single restart's pixel, averaged over pixels and channels; infinite with fewer
+/// than two restarts.
+pub(crate) fn mean_variance(restarts: &Restarts, pixels: usize) -> f64 {
     let sum: f64 = (0..pixels).flat_map(|i| restarts.pixel(i)).map(stats::Moments::variance).sum();
     sum / (3 * pixels) as f64
 }
@@ -76,7 +81,8 @@ mod tests {
         Picture::new(SIZE[0], SIZE[1], pixels)
     }
 
-    /// 4000 restarts against 4000 frames: the standard error of the difference is 0.09 % (image), 0.23 % (tile of 32 pixels).
+    /// 4000 restarts against 4000 frames: the standard error of the difference is 0.09 % (image),
+    /// 0.23 % (tile of 32 pixels).
     fn outcome(gain: f32) -> PictureTest {
         let mut reference = Reference::new(SIZE);
         let mut sample = restarts(SIZE).unwrap();

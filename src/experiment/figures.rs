@@ -6,14 +6,15 @@ use crate::report::Figure;
 use crate::stats::Moments;
 
 /// The mean over restarts with Student's 95 % interval.
-pub(super) fn over_restarts(moments: &Moments) -> Figure {
+pub(crate) fn over_restarts(moments: &Moments) -> Figure {
     let (low, high) = moments.estimate().interval(0.95);
     let ci = (low.is_finite() && high.is_finite()).then_some([low, high]);
     Figure { mean: moments.mean(), ci }
 }
 
-/// All figures of one picture; those that need guides only where there are some, and none that is undefined (a black reference).
-pub(super) fn of_picture(
+/// All figures of one picture; those that need guides only where there are some, and none that is
+/// undefined (a black reference).
+pub(crate) fn of_picture(
     picture: &Picture,
     truth: &Picture,
     guides: Option<&Guides<'_>>,
@@ -38,23 +39,23 @@ pub(super) fn of_picture(
 }
 
 /// The error that curves show.
-pub(super) fn relmse(picture: &Picture, truth: &Picture) -> Result<f64> {
+pub(crate) fn relmse(picture: &Picture, truth: &Picture) -> Result<f64> {
     Ok(Comparison::new(picture, truth, None)?.relmse())
 }
 
 /// Rings of the error's spectrum, in equal steps up to half a cycle a pixel.
-pub(super) const RINGS: usize = 32;
+pub(crate) const RINGS: usize = 32;
 
 /// Power of the error in [`RINGS`] rings; NaN where a ring is empty.
-pub(super) fn spectrum(picture: &Picture, truth: &Picture) -> Result<Vec<f64>> {
+pub(crate) fn spectrum(picture: &Picture, truth: &Picture) -> Result<Vec<f64>> {
     Ok(Comparison::new(picture, truth, None)?.spectrum(None)?.radial(RINGS))
 }
 
 /// Restarts that [`covariance`] needs.
-pub(super) const COVARIANCE_NEEDS: u32 = COVARIANCE_RESTARTS as u32;
+pub(crate) const COVARIANCE_NEEDS: u32 = COVARIANCE_RESTARTS as u32;
 
 /// Covariance of neighbours over restarts.
-pub(super) fn covariance(pictures: &[Picture], truth: &Picture) -> Result<Figure> {
+pub(crate) fn covariance(pictures: &[Picture], truth: &Picture) -> Result<Figure> {
     let estimate = covariance_r8(pictures, truth, None)?;
     let (low, high) = estimate.interval(0.95);
     Ok(Figure {
