@@ -1,103 +1,45 @@
-//! The loop over frames: the scene's time, buffers and their history, the order of passes. It knows no technique.
+//! The loop over frames: the scene's time, buffers and their history, the order of passes. It knows
+//! no technique.
 //!
 //! ```text
 //! Stage (scene, facts, first world) ──► FrameLoop::new(technique, stage, shot) ──► render() ──► Frame (picture, layers, counters, times)
 //! ```
 //!
-//! A pass writes only its own pixels, tiles or items and reads only what earlier passes wrote, so the result has the same bits for any number
-//! of threads. Threads are those of the rayon pool that the caller installs.
+//! A pass writes only its own pixels, tiles or items and reads only what earlier passes wrote, so
+//! the result has the same bits for any number of threads. Threads are those of the rayon pool that
+//! the caller installs.
 
 mod cpu;
+#[expect(clippy::module_inception, reason = "the file of the type `Frame`")]
+mod frame;
 #[cfg(feature = "gpu")]
 pub(crate) mod gpu;
+#[cfg(not(feature = "gpu"))]
+#[path = "no_gpu.rs"]
+mod gpu;
 #[cfg(all(test, feature = "gpu"))]
 mod gpu_tests;
 mod guides;
+mod hits;
+mod runner;
+mod stage;
 
 use std::sync::Arc;
 use std::time::Instant;
 
-use glam::Vec3;
-
+pub use frame::Frame;
 pub use guides::Guides;
+pub use stage::Stage;
 
-use crate::accel::{BuildOptions, HitFilter, Ray};
 use crate::counters::Counters;
 use crate::error::{Error, Result};
-use crate::pass::{Band, Buffer, FrameInputs, PrimaryHit};
-use crate::path::emitted;
-use crate::picture::Picture;
-use crate::plan::{BufferId, Elements, Kernel, Plan, Runs, SceneFacts, Shot};
+use crate::pass::{Buffer, FrameInputs};
+use crate::plan::{Elements, Kernel, Plan, Runs, SceneFacts, Shot};
 use crate::scene::{CameraRays, Scene};
 use crate::techniques::Technique;
-use crate::world::Motion;
-use crate::world::{WithFilter, World};
-
-/// A scene ready for any number of runs: its facts and its first frame's world, built once.
-#[derive(Clone, Debug)]
-pub struct Stage {
-    scene: Arc<Scene>,
-    facts: SceneFacts,
-    first: Arc<World>,
-}
-
-impl Stage {
-    /// Prepares a scene, which may move.
-    ///
-    /// # Errors
-    /// Whatever [`Scene::validate`] refuses, and geometry that no acceleration structure can be built for.
-    pub fn new(scene: Scene) -> Result<Self> {
-        Self::with_options(scene, &BuildOptions::default())
-    }
-
-    /// Prepares a scene that the host will move from frame to frame ([`FrameLoop::render_scene`]): everything counts as moving, and lights as
-    /// coloured, since they may become so.
-    ///
-    /// # Errors
-    /// As [`Stage::new`].
-    pub fn moving(scene: Scene) -> Result<Self> {
-        let mut stage = Self::with_options(
-            scene,
-            &BuildOptions { two_level: Some(true), ..BuildOptions::default() },
-        )?;
-        let facts = &mut stage.facts;
-        (facts.moving_camera, facts.moving_lights, facts.moving_geometry) = (true, true, true);
-        facts.grey_lights = false;
-        Ok(stage)
-    }
-
-    /// As [`Stage::new`], with a choice of acceleration structure.
-    ///
-    /// # Errors
-    /// As [`Stage::new`].
-    pub fn with_options(scene: Scene, options: &BuildOptions) -> Result<Self> {
-        scene.validate()?;
-        // What moves must have a tree of its own, which later frames share.
-        let moving = scene.instances.iter().any(|instance| instance.to_world.moves());
-        let two_level = options.two_level.or(moving.then_some(true));
-        let first = World::new(scene.at(scene.time[0]), &BuildOptions { two_level, ..*options })?;
-        let facts = SceneFacts::new(&scene, first.lights.counts());
-        Ok(Self { scene: Arc::new(scene), facts, first: Arc::new(first) })
-    }
-
-    /// The scene, with its motion.
-    #[must_use]
-    pub fn scene(&self) -> &Scene {
-        &self.scene
-    }
-
-    /// What the scene contains.
-    #[must_use]
-    pub fn facts(&self) -> &SceneFacts {
-        &self.facts
-    }
-
-    /// The world of the first frame.
-    #[must_use]
-    pub fn first_world(&self) -> &Arc<World> {
-        &self.first
-    }
-}
+use crate::world::{Motion, World};
+use hits::primary_hits;
+use runner::Runner;
 
 /// What runs a loop's passes. State has the same bytes on both.
 #[derive(Clone, Debug, Default)]
@@ -106,7 +48,8 @@ pub enum Backend {
     /// The threads of the rayon pool that the caller installs.
     #[default]
     Cpu,
-    /// A graphics processor. A technique without kernels for one runs on the CPU ([`FrameLoop::runs_on`]).
+    /// A graphics processor. A technique without kernels for one runs on the CPU
+    /// ([`FrameLoop::runs_on`]).
     #[cfg(feature = "gpu")]
     Gpu(Arc<crate::gpu::Gpu>),
 }
@@ -131,52 +74,7 @@ pub struct FrameLoop {
     under_way: u32,
     /// The worlds of the frame that was finished last.
     shown: (Arc<World>, Option<Arc<World>>),
-    #[cfg(feature = "gpu")]
-    device: Option<Device>,
-}
-
-/// The part of a loop that a graphics processor runs.
-#[cfg(feature = "gpu")]
-#[derive(Debug)]
-struct Device {
-    runner: gpu::Runner,
-    twins: Vec<crate::techniques::Twin>,
-    /// So many of a frame's passes stay on the CPU.
-    on_cpu: usize,
-    /// So many of a frame's passes run at all.
-    #[cfg(test)]
-    stop_after: usize,
-    /// State is to be cleared before the next frame.
-    restarted: bool,
-    /// Frames under way, the oldest first.
-    flights: std::collections::VecDeque<Flight>,
-    /// Buffers of the last frame that were asked for.
-    read: Vec<std::sync::OnceLock<Vec<u32>>>,
-}
-
-/// A frame that a graphics processor works on.
-#[cfg(feature = "gpu")]
-#[derive(Debug)]
-struct Flight {
-    index: u32,
-    /// Of what ran on the CPU.
-    counters: Counters,
-    passes: Vec<(&'static str, f64)>,
-    submitted: gpu::Submitted,
-    world: Arc<World>,
-    previous: Option<Arc<World>>,
-}
-
-/// One rendered frame, borrowed from the loop.
-#[derive(Debug)]
-pub struct Frame<'a> {
-    frame_loop: &'a FrameLoop,
-    /// From 0 after every restart.
-    pub index: u32,
-    /// Work done in this frame.
-    pub counters: Counters,
-    /// Milliseconds of each pass that ran, in order; the scene's update comes first where anything moves.
-    pub passes: &'a [(&'static str, f64)],
+    runner: Runner,
 }
 
 impl FrameLoop {
@@ -193,7 +91,8 @@ impl FrameLoop {
     /// A loop before its first frame.
     ///
     /// # Errors
-    /// As [`FrameLoop::new`]; on a graphics processor whatever it has not enough of, by name ([`Error::is_gpu`]).
+    /// As [`FrameLoop::new`]; on a graphics processor whatever it has not enough of, by name
+    /// ([`Error::is_gpu`]).
     pub fn with_backend(
         technique: Arc<dyn Technique>,
         stage: &Stage,
@@ -211,26 +110,22 @@ impl FrameLoop {
             )));
         }
         let world = stage.first.clone();
-        // Here, so that loops made one after another and run side by side share the tree instead of building one each.
+        // Here, so that loops made one after another and run side by side share the tree instead of
+        // building one each.
         if plan.emitters {
             world.prepare_emitters()?;
         }
-        #[cfg(not(feature = "gpu"))]
-        let Backend::Cpu = backend;
-        #[cfg(feature = "gpu")]
-        let device = Device::new(backend, &*technique, &plan, &world, (shot, stage.facts.moves()))?;
-        #[cfg(feature = "gpu")]
-        let on_device = device.is_some();
-        #[cfg(not(feature = "gpu"))]
-        let on_device = false;
+        let moves = stage.facts.moves();
+        let runner = Runner::new(backend, &*technique, &plan, &world, (shot, moves))?;
         let buffers = plan
             .buffers
             .iter()
-            .filter(|_| !on_device)
             .map(|buffer| {
-                let elements = match buffer.elements {
-                    Elements::Pixels => pixels,
-                    Elements::Items(n) => n as usize,
+                let elements = match (&runner, buffer.elements) {
+                    // The device holds them.
+                    (Runner::Gpu(_), _) => 0,
+                    (Runner::Cpu, Elements::Pixels) => pixels,
+                    (Runner::Cpu, Elements::Items(n)) => n as usize,
                 };
                 let words = vec![0; elements * buffer.bytes as usize / 4];
                 Buffer {
@@ -239,7 +134,6 @@ impl FrameLoop {
                 }
             })
             .collect();
-        let buffers = if on_device { vec![Buffer::default(); plan.buffers.len()] } else { buffers };
         Ok(Self {
             technique,
             stage: stage.clone(),
@@ -254,38 +148,34 @@ impl FrameLoop {
             counters: Counters::default(),
             under_way: 0,
             shown: (stage.first.clone(), None),
-            #[cfg(feature = "gpu")]
-            device,
+            runner,
         })
     }
 
     /// The graphics processor that runs the passes, by name; `None`: the CPU does.
     #[must_use]
     pub fn runs_on(&self) -> Option<String> {
-        #[cfg(feature = "gpu")]
-        return self.device.as_ref().map(|device| device.runner.gpu().info().to_string());
-        #[cfg(not(feature = "gpu"))]
-        None
+        match &self.runner {
+            Runner::Cpu => None,
+            Runner::Gpu(device) => Some(device.name()),
+        }
     }
 
     /// Bytes that the scene takes on the graphics processor; 0 on the CPU.
     #[must_use]
     pub fn scene_bytes(&self) -> u64 {
-        #[cfg(feature = "gpu")]
-        return self.device.as_ref().map_or(0, |device| device.runner.scene_bytes());
-        #[cfg(not(feature = "gpu"))]
-        0
+        match &self.runner {
+            Runner::Cpu => 0,
+            Runner::Gpu(device) => device.scene_bytes(),
+        }
     }
 
-    /// Lets the CPU run the first `passes` passes of every frame, from the same bytes: how the pass that two backends disagree in is
-    /// found. Without a graphics processor all run there anyway.
+    /// Lets the CPU run the first `passes` passes of every frame, from the same bytes: how the pass
+    /// that two backends disagree in is found. Without a graphics processor all run there anyway.
     pub fn run_on_cpu(&mut self, passes: usize) {
-        #[cfg(feature = "gpu")]
-        if let Some(device) = &mut self.device {
-            device.on_cpu = passes;
+        if let Runner::Gpu(device) = &mut self.runner {
+            device.run_on_cpu(passes);
         }
-        #[cfg(not(feature = "gpu"))]
-        let _ = passes;
     }
 
     /// What runs.
@@ -306,7 +196,8 @@ impl FrameLoop {
         &self.world
     }
 
-    /// Forgets all history and begins again at the first frame, with the random numbers of another run.
+    /// Forgets all history and begins again at the first frame, with the random numbers of another
+    /// run.
     pub fn restart(&mut self, run: u64) {
         self.shot.run = run;
         self.world = self.stage.first.clone();
@@ -317,18 +208,16 @@ impl FrameLoop {
             buffer.current.fill(0);
             buffer.previous.fill(0);
         }
-        #[cfg(feature = "gpu")]
-        if let Some(device) = &mut self.device {
-            device.restarted = true;
-            device.flights.clear();
+        if let Runner::Gpu(device) = &mut self.runner {
+            device.restart();
         }
     }
 
     /// Renders the next frame at its own time: start + index / fps, clamped at the scene's end.
     ///
     /// # Errors
-    /// Geometry of a moving scene that no acceleration structure can be built for; a graphics processor that failed; frames that were
-    /// [submitted](FrameLoop::submit) and not finished.
+    /// Geometry of a moving scene that no acceleration structure can be built for; a graphics
+    /// processor that failed; frames that were [submitted](FrameLoop::submit) and not finished.
     pub fn render(&mut self) -> Result<Frame<'_>> {
         self.refuse_frames_under_way()?;
         self.advance()?;
@@ -338,8 +227,9 @@ impl FrameLoop {
     /// Frames that may be [submitted](FrameLoop::submit) and not finished.
     pub const MOST_UNDER_WAY: u32 = 2;
 
-    /// Starts the next frame without waiting for it: a graphics processor works on it while the host prepares the one after. On the CPU it is rendered when
-    /// it is [finished](FrameLoop::finish).
+    /// Starts the next frame without waiting for it: a graphics processor works on it while the
+    /// host prepares the one after. On the CPU it is rendered when it is
+    /// [finished](FrameLoop::finish).
     ///
     /// # Errors
     /// As [`FrameLoop::render`]; more than [`FrameLoop::MOST_UNDER_WAY`] frames.
@@ -381,10 +271,7 @@ impl FrameLoop {
     }
 
     fn runs_on_device(&self) -> bool {
-        #[cfg(feature = "gpu")]
-        return self.device.is_some();
-        #[cfg(not(feature = "gpu"))]
-        false
+        matches!(self.runner, Runner::Gpu(_))
     }
 
     /// Begins the next frame at its own time.
@@ -399,12 +286,14 @@ impl FrameLoop {
         self.step(moved, updated)
     }
 
-    /// Renders the next frame of a scene that the host moves: `scene` is as it stands now, with fixed transforms. Things may come, go and change,
-    /// but only be of kinds that the stage's scene had.
+    /// Renders the next frame of a scene that the host moves: `scene` is as it stands now, with
+    /// fixed transforms. Things may come, go and change, but only be of kinds that the stage's
+    /// scene had.
     ///
     /// # Errors
-    /// A stage that is not [`Stage::moving`], whose plan may have left out what motion needs; a kind of light or surface that the stage's scene had
-    /// not ([`SceneFacts::lacks`]), which the plan may have left out; whatever [`Scene::validate`] refuses.
+    /// A stage that is not [`Stage::moving`], whose plan may have left out what motion needs; a
+    /// kind of light or surface that the stage's scene had not ([`SceneFacts::lacks`]), which the
+    /// plan may have left out; whatever [`Scene::validate`] refuses.
     pub fn render_scene(&mut self, scene: Scene) -> Result<Frame<'_>> {
         let facts = &self.stage.facts;
         if !(facts.moving_camera && facts.moving_lights && facts.moving_geometry) {
@@ -435,7 +324,6 @@ impl FrameLoop {
     ) -> Result<()> {
         let index = self.next_frame;
         let first = index == 0;
-        #[cfg(feature = "gpu")]
         let before = (self.world.clone(), self.previous.clone());
         if !first {
             self.previous = Some(self.world.clone());
@@ -457,7 +345,8 @@ impl FrameLoop {
         self.passes.clear();
         self.passes.reserve(self.plan.passes.len() + 1);
         if let Some(elapsed) = updated {
-            // With the emitters' tree and the tables of what moved; in the first frame they belong to loading, as the scene's own tree.
+            // With the emitters' tree and the tables of what moved; in the first frame they belong
+            // to loading, as the scene's own tree.
             self.passes.push(("scene update", (elapsed + begin.elapsed()).as_secs_f64() * 1e3));
         }
         self.chosen.clear();
@@ -469,42 +358,65 @@ impl FrameLoop {
             },
         ));
         self.next_frame = self.next_frame.wrapping_add(1);
-        #[cfg(feature = "gpu")]
-        if let Some(mut device) = self.device.take() {
-            let outcome = self.run_on(&mut device, motion.as_ref(), camera, index);
-            self.device = Some(device);
-            if outcome.is_err() {
-                // The loop is where it was: a frame that was refused has never been.
-                (self.world, self.previous) = before;
-                self.next_frame = index;
+        let mut runner = std::mem::replace(&mut self.runner, Runner::Cpu);
+        let outcome = match &mut runner {
+            Runner::Cpu => {
+                self.run_here(motion.as_ref(), camera, index);
+                Ok(())
             }
-            return outcome;
+            Runner::Gpu(device) => self.run_on(device, motion.as_ref(), camera, index),
+        };
+        self.runner = runner;
+        if outcome.is_err() {
+            // The loop is where it was: a frame that was refused has never been.
+            (self.world, self.previous) = before;
+            self.next_frame = index;
         }
+        outcome
+    }
+
+    /// Runs the chosen passes on the CPU.
+    fn run_here(&mut self, motion: Option<&Motion>, camera: CameraRays, index: u32) {
         for (buffer, plan) in self.buffers.iter_mut().zip(&self.plan.buffers) {
-            if plan.history && !first {
+            if plan.history && index > 0 {
                 std::mem::swap(&mut buffer.current, &mut buffer.previous);
             }
         }
-        self.counters = self.run_passes(self.chosen.len(), motion.as_ref(), camera, index);
+        self.counters = self.run_passes(self.chosen.len(), motion, camera, index);
         self.shown = (self.world.clone(), self.previous.clone());
+    }
+
+    /// Starts the chosen passes on the graphics processor, after those that the CPU was asked to
+    /// run.
+    fn run_on(
+        &mut self,
+        device: &mut gpu::Device,
+        motion: Option<&Motion>,
+        camera: CameraRays,
+        index: u32,
+    ) -> Result<()> {
+        let here = device.begin(self, motion, &camera, index)?;
+        let mut counters = Counters::default();
+        if here > 0 {
+            device.download(&mut self.buffers)?;
+            counters = self.run_passes(here, motion, camera, index);
+            device.upload(&self.buffers);
+        }
+        device.submit(self, here, counters, index);
         Ok(())
     }
 
     /// The frame that was begun first, once it is done.
     fn collect(&mut self) -> Result<Frame<'_>> {
-        #[cfg(feature = "gpu")]
-        if let Some(device) = &mut self.device
-            && let Some(flight) = device.flights.pop_front()
+        let mut index = self.next_frame.wrapping_sub(1);
+        if let Runner::Gpu(device) = &mut self.runner
+            && let Some(landed) = device.collect(&self.plan, &mut self.buffers)?
         {
-            let Flight { index, counters, mut passes, submitted, world, previous } = flight;
-            let work =
-                device.runner.collect(submitted, &self.plan, &mut self.buffers, &mut passes)?;
-            (self.passes, self.shown) = (passes, (world, previous));
-            let counters = counters + work;
-            return Ok(Frame { frame_loop: self, index, counters, passes: &self.passes });
+            index = landed.index;
+            (self.passes, self.shown, self.counters) =
+                (landed.passes, landed.shown, landed.counters);
         }
-        let (index, counters) = (self.next_frame.wrapping_sub(1), self.counters);
-        Ok(Frame { frame_loop: self, index, counters, passes: &self.passes })
+        Ok(Frame { frame_loop: self, index, counters: self.counters, passes: &self.passes })
     }
 
     /// Runs the first `count` of the chosen passes on the CPU.
@@ -548,137 +460,6 @@ impl FrameLoop {
         }
         counters
     }
-
-    /// Starts the chosen passes on the graphics processor, after those that the CPU was asked to run.
-    #[cfg(feature = "gpu")]
-    fn run_on(
-        &mut self,
-        device: &mut Device,
-        motion: Option<&Motion>,
-        camera: CameraRays,
-        index: u32,
-    ) -> Result<()> {
-        #[cfg(test)]
-        self.chosen.truncate(device.stop_after);
-        let Device { runner, twins, on_cpu, restarted, flights, read, .. } = device;
-        read.iter_mut().for_each(|buffer| drop(buffer.take()));
-        if *restarted {
-            runner.restart(&self.world, (twins, &self.plan, self.shot))?;
-            *restarted = false;
-        }
-        let state = gpu::FrameState {
-            world: &self.world,
-            previous: self.previous.as_deref(),
-            camera: &camera,
-            motion,
-            shot: self.shot,
-            index,
-        };
-        let begin = Instant::now();
-        runner.begin(&state, (twins, &self.plan))?;
-        if let Some((_, ms)) = self.passes.first_mut() {
-            // What moved has to be sent, too.
-            *ms += begin.elapsed().as_secs_f64() * 1e3;
-        }
-        let here = self.chosen.len().min(*on_cpu);
-        let mut counters = Counters::default();
-        if here > 0 {
-            runner.download(&mut self.buffers)?;
-            counters = self.run_passes(here, motion, camera, index);
-            runner.upload(&self.buffers);
-        }
-        flights.push_back(Flight {
-            index,
-            counters,
-            passes: std::mem::take(&mut self.passes),
-            submitted: runner.submit(&self.chosen[here..], &self.plan),
-            world: self.world.clone(),
-            previous: self.previous.clone(),
-        });
-        Ok(())
-    }
-
-    fn picture(&self, id: BufferId) -> Picture {
-        let values: &[[f32; 3]] = bytemuck::cast_slice(&self.buffers[id.0].current);
-        let [width, height] = self.shot.size;
-        Picture::new(width, height, values.iter().map(|rgb| Vec3::from_array(*rgb)).collect())
-    }
-}
-
-impl Frame<'_> {
-    /// The frame's estimate: all light but what is emitted directly towards the camera.
-    #[must_use]
-    pub fn picture(&self) -> Picture {
-        self.frame_loop.picture(Plan::RADIANCE)
-    }
-
-    /// Directly visible emission and sky: part of the picture, left out of every metric.
-    #[must_use]
-    pub fn emission(&self) -> Picture {
-        self.frame_loop.picture(Plan::EMISSION)
-    }
-
-    /// What this frame left in the plan's buffer `name`, such as `reservoirs`; `None` where the plan has no such buffer, or one whose elements
-    /// are no whole number of `T`, and while later frames are under way.
-    #[must_use]
-    pub fn buffer<T: bytemuck::Pod>(&self, name: &str) -> Option<&[T]> {
-        let id = self.frame_loop.plan.buffer(name)?;
-        #[cfg(feature = "gpu")]
-        if let Some(device) = &self.frame_loop.device {
-            if self.frame_loop.under_way > 0 {
-                return None;
-            }
-            let copy = &device.read[id.0];
-            if copy.get().is_none() {
-                let words = device.runner.read(id.0);
-                // The next frame says why.
-                let words = words.map_err(|e| device.runner.gpu().failed(&e.to_string())).ok()?;
-                let _ = copy.set(words);
-            }
-            return bytemuck::try_cast_slice(copy.get()?).ok();
-        }
-        bytemuck::try_cast_slice(&self.frame_loop.buffers[id.0].current).ok()
-    }
-
-    /// Albedo, normal, depth and motion through pixel centres. Traced here, in no pass's time.
-    #[must_use]
-    pub fn guides(&self) -> Guides {
-        let FrameLoop { shown: (world, previous), shot, .. } = self.frame_loop;
-        Guides::new(world, previous.as_deref(), shot.size)
-    }
-
-    /// Milliseconds of all passes.
-    #[must_use]
-    pub fn milliseconds(&self) -> f64 {
-        self.passes.iter().map(|(_, ms)| ms).sum()
-    }
-}
-
-#[cfg(feature = "gpu")]
-impl Device {
-    /// `None`: the CPU runs all.
-    fn new(
-        backend: &Backend,
-        technique: &dyn Technique,
-        plan: &Plan,
-        world: &Arc<World>,
-        how: (Shot, bool),
-    ) -> Result<Option<Self>> {
-        let Backend::Gpu(device) = backend else { return Ok(None) };
-        let Some(twins) = gpu::twins(technique, plan) else { return Ok(None) };
-        let runner = gpu::Runner::new(device.clone(), &twins, plan, world, how)?;
-        let read = plan.buffers.iter().map(|_| std::sync::OnceLock::new()).collect();
-        Ok(Some(Self {
-            runner,
-            twins,
-            on_cpu: 0,
-            #[cfg(test)]
-            stop_after: usize::MAX,
-            restarted: false,
-            flights: std::collections::VecDeque::new(),
-            read,
-        }))
-    }
 }
 
 /// Rounds of one pass are one line.
@@ -687,43 +468,4 @@ fn add_pass(passes: &mut Vec<(&'static str, f64)>, name: &'static str, ms: f64) 
         Some((last, sum)) if *last == name => *sum += ms,
         _ => passes.push((name, ms)),
     }
-}
-
-/// Traces primary rays through pixel centres and writes hits and directly visible emission.
-fn primary_hits(inputs: &FrameInputs<'_>, band: &mut Band<'_>) -> Counters {
-    struct Hits<'a, 'b, 'c>(&'a FrameInputs<'b>, &'a mut Band<'c>);
-    impl WithFilter for Hits<'_, '_, '_> {
-        type Output = Counters;
-
-        fn run<F: HitFilter + Sync>(self, filter: F) -> Counters {
-            let Self(inputs, band) = self;
-            let world = inputs.world;
-            let hits: &mut [PrimaryHit] = band.take(Plan::HITS);
-            let emission: &mut [[f32; 3]] = band.take(Plan::EMISSION);
-            let first = band.range.start * band.width;
-            for (local, (out, seen)) in hits.iter_mut().zip(emission).enumerate() {
-                let pixel = first + local as u32;
-                let ray = inputs.camera.ray(inputs.sample_position(
-                    pixel % band.width,
-                    pixel / band.width,
-                    0,
-                ));
-                let hit = world.accel.closest_hit(
-                    &Ray { origin: ray.origin, direction: ray.direction, t_max: f32::INFINITY },
-                    &filter,
-                );
-                *seen = match &hit {
-                    Some(hit) => emitted(world, &world.accel.point(hit), ray.direction),
-                    None => world.escaped_radiance(ray.direction),
-                }
-                .to_array();
-                *out = hit.into();
-            }
-            Counters {
-                primary_rays: u64::from(band.range.end - band.range.start) * u64::from(band.width),
-                ..Counters::default()
-            }
-        }
-    }
-    inputs.world.with_filter(Hits(inputs, band))
 }

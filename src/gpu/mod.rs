@@ -26,7 +26,7 @@ use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 pub(crate) use entry::{Lanes, Origin};
 pub use shader::wgsl;
-pub(crate) use shader::{Kernel, SceneConstants};
+pub(crate) use shader::{SceneConstants, Shader};
 pub(crate) use upload::{CameraRecord, Inputs, Links, MAX_BUFFERS, ProjectionRecord, SceneBuffers};
 
 use compose::Composed;
@@ -304,7 +304,7 @@ impl Gpu {
     }
 
     /// The pipeline of a kernel, compiled once a device.
-    pub(crate) fn pipeline(&self, kernel: &Kernel) -> Result<wgpu::ComputePipeline> {
+    pub(crate) fn pipeline(&self, kernel: &Shader) -> Result<wgpu::ComputePipeline> {
         let composed = kernel.compose()?;
         let key = kernel.key(&composed.text);
         if let Some(pipeline) = locked(&self.pipelines).get(&key) {

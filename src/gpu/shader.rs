@@ -117,7 +117,7 @@ impl SceneConstants {
 
 /// A kernel before it is compiled.
 #[derive(Clone, Debug)]
-pub(crate) struct Kernel {
+pub(crate) struct Shader {
     /// The kernel's function, which the entry point calls.
     pub(crate) name: &'static str,
     lanes: Lanes,
@@ -130,7 +130,7 @@ pub(crate) struct Kernel {
     stack: u32,
 }
 
-impl Kernel {
+impl Shader {
     pub(crate) fn new(twin: &Twin, lanes: Lanes, scene: &SceneConstants) -> Self {
         let mut modules = SCENE.to_vec();
         modules.extend_from_slice(&twin.modules);

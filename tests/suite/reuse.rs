@@ -312,8 +312,12 @@ fn assert_unbiased(at: (&Course, &Stage), spec: &str, shot: Shot, looks: &[Look]
 
 /// A configuration on pictures this small.
 fn with(keys: &str) -> String {
-    let base = "restir-di:candidates=4,radius=4";
-    if keys.is_empty() { base.into() } else { format!("{base},{keys}") }
+    // Neighbours in every frame, each pixel its own, unless `keys` say otherwise.
+    let given = |key: &str| keys.split(',').any(|pair| pair.split('=').next() == Some(key));
+    let base = ["candidates=4", "radius=4", "taps=random", "mature=0"];
+    let base = base.into_iter().filter(|pair| !given(pair.split('=').next().unwrap_or("")));
+    let pairs: Vec<&str> = base.chain(keys.split(',').filter(|key| !key.is_empty())).collect();
+    format!("restir-di:{}", pairs.join(","))
 }
 
 const CONFIGURATIONS: [&str; 21] = [
@@ -748,7 +752,7 @@ fn c4_r12_sizes() {
     let mut before = None;
     for size in [[16, 12], [1, 1], [1, 9], [9, 1], [17, 23], [3, 2], [16, 12]] {
         for keys in CONFIGURATIONS.iter().chain(&["radius=1000,neighbours=8", "radius=1"]) {
-            let spec = format!("restir-di:candidates=2,{keys}");
+            let spec = format!("restir-di:candidates=2,mature=0,{keys}");
             let spec = spec.trim_end_matches(',');
             let shot = Shot { size, ..small() };
             let mut frames = FrameLoop::new(Arc::from(parse(spec).unwrap()), &stage, shot).unwrap();
@@ -847,8 +851,9 @@ fn averaged_visibility_with_weights_that_know_the_sample_is_biased() {
     let stage = Stage::new(course.base.clone()).unwrap();
     let look = Look::finer(&course, small(), 8, 48);
     for (mis, sign) in [("balance", -1.0), ("defensive", -1.0)] {
-        let spec =
-            format!("restir-di:candidates=2,bsdf=0,radius=5,neighbours=1,visibility=wis,mis={mis}");
+        let spec = format!(
+            "restir-di:candidates=2,bsdf=0,taps=random,mature=0,radius=5,neighbours=1,visibility=wis,mis={mis}"
+        );
         let [(found, error), ..] = bias((&course, &stage), &spec, &look, 600);
         assert!(found * sign > 5.0 * error, "{mis}: {found} ± {error}");
     }
@@ -1163,7 +1168,7 @@ fn r7_r12_the_same_neighbour_many_times() {
     let shot = Shot { size: [2, 1], ..small() };
     let looks = [1, 4].map(|age| Look::finer(&course, shot, age, 64));
     for keys in ["neighbours=8,radius=1", "neighbours=8,radius=1,mis=balance,visibility=wis-cv"] {
-        let spec = format!("restir-di:candidates=16,{keys}");
+        let spec = format!("restir-di:candidates=16,taps=random,mature=0,{keys}");
         assert_unbiased((&course, &stage), &spec, shot, &looks, 0.03);
     }
 }

@@ -10,7 +10,7 @@ mod scene;
 use std::sync::{Arc, OnceLock};
 
 use super::compose::Composed;
-use super::{Gpu, Inputs, Kernel, Lanes, SceneBuffers};
+use super::{Gpu, Inputs, Lanes, SceneBuffers, Shader};
 use crate::math::rng::{RandomSource, Stream};
 use crate::resampling::RESAMPLING_WGSL;
 use crate::reuse::{CONTROL_WGSL, STORED_WGSL, WIS_WGSL};
@@ -87,7 +87,7 @@ fn run_changed(
     let modules = vec![RESAMPLING_WGSL, STORED_WGSL, WIS_WGSL, CONTROL_WGSL, harness];
     let twin = Twin { kernel: "test", modules, ..Twin::default() };
     let lanes = Lanes::Items(count as u32);
-    let kernel = Kernel::new(&twin, lanes, scene.constants());
+    let kernel = Shader::new(&twin, lanes, scene.constants());
     let composed = kernel.compose().unwrap();
     let composed = Composed { text: change(composed.text.clone()), ..composed };
     let pipeline = gpu.compile("test", &composed, &kernel.constants).unwrap();

@@ -9,11 +9,11 @@ use glam::{Vec3, Vec4};
 use crate::counters::Counters;
 use crate::error::{Error, Result};
 use crate::gpu::{
-    CameraRecord, Gpu, Inputs, Kernel, Lanes, Links, MAX_BUFFERS, Origin, ProjectionRecord,
-    SceneBuffers, SceneConstants,
+    CameraRecord, Gpu, Inputs, Lanes, Links, MAX_BUFFERS, Origin, ProjectionRecord, SceneBuffers,
+    SceneConstants, Shader,
 };
 use crate::pass::Buffer;
-use crate::plan::{Domain, Elements, Filter, Grid, Kernel as PassKernel, Plan, Shot};
+use crate::plan::{Domain, Elements, Filter, Grid, Kernel, Plan, Shot};
 use crate::scene::CameraRays;
 use crate::techniques::Technique;
 use crate::twin::{Module, Twin};
@@ -23,20 +23,20 @@ use crate::world::World;
 /// Bytes before the timestamps in what is read back: room for all counters.
 const COUNTERS: u64 = 256;
 /// Frames that may be under way: one that the device works on, one that waits behind it.
-pub(super) const IN_FLIGHT: usize = 2;
+const IN_FLIGHT: usize = 2;
 /// Alignment of what queries are written to.
 const RESOLVE: u64 = 256;
 /// The frame loop's own kernel.
-const PRIMARY_HITS: Module = crate::wgsl!("primary_hits.wgsl");
+const PRIMARY_HITS: Module = crate::wgsl!("../primary_hits.wgsl");
 
 /// A scene's arenas: shared where nothing moves.
 #[derive(Debug)]
-enum Scene {
+enum Arenas {
     Shared(Arc<SceneBuffers>),
     Own(Box<SceneBuffers>),
 }
 
-impl Scene {
+impl Arenas {
     fn get(&self) -> &SceneBuffers {
         match self {
             Self::Shared(scene) => scene,
@@ -62,9 +62,9 @@ struct Span {
 
 /// One loop's frames on a device.
 #[derive(Debug)]
-pub(super) struct Runner {
+pub(super) struct DeviceRunner {
     gpu: Arc<Gpu>,
-    scene: Scene,
+    scene: Arenas,
     /// The world that the scene shows.
     shown: Arc<World>,
     /// What the passes' pipelines know of the scene.
@@ -114,8 +114,8 @@ pub(crate) fn twins(technique: &dyn Technique, plan: &Plan) -> Option<Vec<Twin>>
     plan.passes
         .iter()
         .map(|pass| match pass.kernel {
-            PassKernel::PrimaryHits => Some(own()),
-            PassKernel::Technique(kernel) => technique.twin(kernel, plan),
+            Kernel::PrimaryHits => Some(own()),
+            Kernel::Technique(kernel) => technique.twin(kernel, plan),
         })
         .collect()
 }
@@ -135,7 +135,7 @@ pub(crate) fn lanes(domain: Domain) -> Lanes {
     }
 }
 
-impl Runner {
+impl DeviceRunner {
     pub(super) fn new(
         gpu: Arc<Gpu>,
         twins: &[Twin],
@@ -202,9 +202,9 @@ impl Runner {
         };
         let scene = if moves {
             let links = Links::default();
-            Scene::Own(Box::new(SceneBuffers::new(&gpu, (world, Some(world)), &links, None)?))
+            Arenas::Own(Box::new(SceneBuffers::new(&gpu, (world, Some(world)), &links, None)?))
         } else {
-            Scene::Shared(gpu.scene(world, plan.emitters)?)
+            Arenas::Shared(gpu.scene(world, plan.emitters)?)
         };
         let compiled = *scene.get().constants();
         let passes = compile(&gpu, twins, plan, shot, &compiled)?;
@@ -244,7 +244,7 @@ impl Runner {
         (twins, plan, shot): (&[Twin], &Plan, Shot),
     ) -> Result<()> {
         self.gpu.check()?;
-        if let Scene::Own(scene) = &mut self.scene
+        if let Arenas::Own(scene) = &mut self.scene
             && !scene.reset(&self.gpu, world)?
         {
             let known = self.compiled;
@@ -272,7 +272,7 @@ impl Runner {
             self.compiled = constants;
         }
         self.bindings = bind(&self.gpu, &scene, &self.inputs, &self.state, &self.counters);
-        self.scene = Scene::Own(Box::new(scene));
+        self.scene = Arenas::Own(Box::new(scene));
         Ok(())
     }
 
@@ -288,7 +288,7 @@ impl Runner {
         (twins, plan): (&[Twin], &Plan),
     ) -> Result<()> {
         self.gpu.check()?;
-        if let Scene::Own(scene) = &mut self.scene
+        if let Arenas::Own(scene) = &mut self.scene
             && !Arc::ptr_eq(&self.shown, frame.world)
         {
             let how = (twins, plan, frame.shot);
@@ -431,7 +431,7 @@ impl Runner {
                     u64::from_le_bytes(stamps[at..at + 8].try_into().unwrap_or_default())
                 };
                 let ms = stamp(1).saturating_sub(stamp(0)) as f64 * period * 1e-6;
-                super::add_pass(passes, plan.passes[at].name, ms);
+                crate::frame::add_pass(passes, plan.passes[at].name, ms);
             }
         } else if !ran.is_empty() {
             passes.push(("all passes", begin.elapsed().as_secs_f64() * 1e3));
@@ -552,7 +552,7 @@ fn compile(
                     gpu.info()
                 )));
             }
-            let kernel = Kernel::new(twin, lanes, scene);
+            let kernel = Shader::new(twin, lanes, scene);
             let groups = kernel.groups(shot.size);
             if groups[0].max(groups[1]) > most {
                 return Err(Error::gpu(format!(
