@@ -15,7 +15,8 @@ macro_rules! counters {
                 vec![$((stringify!($name), self.$name),)*]
             }
 
-            /// From all lower words in the order of [`Counters::entries`], and all upper ones behind them.
+            /// From all lower words in the order of [`Counters::entries`], and all upper ones
+            /// behind them.
             #[cfg(feature = "gpu")]
             pub(crate) fn from_words(words: &[u32]) -> Self {
                 let count = [$(stringify!($name)),*].len();
@@ -44,7 +45,8 @@ counters! {
     shadow_rays,
     /// Rays that look for emitters alone.
     emitter_rays,
-    /// Light samples that needed no ray: nothing emitted towards the receiver, or nothing scattered.
+    /// Light samples that needed no ray: nothing emitted towards the receiver, or nothing
+    /// scattered.
     shadow_rays_saved,
     /// Complete path estimates.
     paths,
@@ -68,6 +70,7 @@ counters! {
     mutations_accepted,
     /// Candidates whose weight was not a finite number of at least 0. Always a bug.
     weights_rejected,
-    /// Estimates that were not finite. Always a bug: they are counted and shown as black, never passed on.
+    /// Estimates that were not finite. Always a bug: they are counted and shown as black, never
+    /// passed on.
     non_finite,
 }

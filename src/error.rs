@@ -8,8 +8,8 @@ pub type Result<T> = std::result::Result<T, Error>;
 
 /// Why a scene, a parameter or a file was refused, and where.
 ///
-/// The text reads `FILE:LINE:COLUMN: what was found, what is allowed` as far as each part is known. The predicates
-/// tell the kinds apart; no other detail is part of the interface.
+/// The text reads `FILE:LINE:COLUMN: what was found, what is allowed` as far as each part is known.
+/// The predicates tell the kinds apart; no other detail is part of the interface.
 pub struct Error {
     inner: Box<Inner>,
 }
@@ -115,7 +115,8 @@ impl Error {
         Self::new(ErrorKind::Gpu, message)
     }
 
-    /// Whether there was no graphics processor, or one that lacks something or failed; the CPU can run the same.
+    /// Whether there was no graphics processor, or one that lacks something or failed; the CPU can
+    /// run the same.
     #[must_use]
     pub fn is_gpu(&self) -> bool {
         self.inner.kind == ErrorKind::Gpu
@@ -167,7 +168,8 @@ impl Error {
         self
     }
 
-    /// Adds a JSON path such as `materials[3].pbrMetallicRoughness`, unless an inner call already did.
+    /// Adds a JSON path such as `materials[3].pbrMetallicRoughness`, unless an inner call already
+    /// did.
     #[must_use]
     pub(crate) fn at_json(mut self, path: impl Into<String>) -> Self {
         self.inner.place.get_or_insert_with(|| Place::Json(path.into()));
@@ -217,7 +219,8 @@ impl std::error::Error for Error {
     }
 }
 
-/// The entry of `known` nearest to `given`, then all of them: the tail of every "unknown name" message.
+/// The entry of `known` nearest to `given`, then all of them: the tail of every "unknown name"
+/// message.
 pub(crate) fn suggest(given: &str, known: &[&str]) -> String {
     let mut by_distance: Vec<&str> = known.to_vec();
     by_distance.sort_by_key(|name| strsim::damerau_levenshtein(given, name));

@@ -1,9 +1,10 @@
-//! Light transport with reused light samples: real-time methods behind one set of traits, run in one frame loop, and measured
-//! against each other and against path tracing.
+//! Light transport with reused light samples: real-time methods behind one set of traits, run in
+//! one frame loop, and measured against each other and against path tracing.
 //!
-//! A scene file or a host's own data becomes a [`scene::Scene`]; [`frame::Stage`] makes it ready for rays; [`frame::FrameLoop`] renders it frame
-//! after frame with any [`techniques::Technique`]: `nee` (path tracing with light sampling, the reference), `bsdf`, `ris` and `restir-di` (direct light
-//! by resampling, without and with reuse).
+//! A scene file or a host's own data becomes a [`scene::Scene`]; [`frame::Stage`] makes it ready
+//! for rays; [`frame::FrameLoop`] renders it frame after frame with any [`techniques::Technique`]:
+//! `nee` (path tracing with light sampling, the reference), `bsdf`, `ris` and `restir-di` (direct
+//! light by resampling, without and with reuse).
 //!
 //! | module | holds |
 //! |---|---|
@@ -68,7 +69,8 @@
 //! # Ok::<(), afterimage::Error>(())
 //! ```
 //!
-//! The pages in `docs/` say more: architecture, notation, scenes, the path tracer, resampling, restir-di, visibility, metrics, results, testing.
+//! The pages in `docs/` say more: architecture, notation, scenes, the path tracer, resampling,
+//! restir-di, visibility, metrics, results, testing.
 
 pub mod accel;
 #[cfg(feature = "cli")]

@@ -1,5 +1,5 @@
-//! What a technique's kernel is given: the frame's inputs to read, and a band of its own elements to
-//! write.
+//! What a technique's kernel is given: the frame's inputs to read, and a band of its own elements
+//! to write.
 //!
 //! A pass over pixels or items walks over its band. A pass over tiles walks over [`Band::tiles`]:
 //! a tile lies in one band and is worked on by one thread, so its lanes exchange state through
@@ -107,10 +107,11 @@ impl FrameInputs<'_> {
     /// How many independent estimates a pixel gets in this frame: ⌊effort⌋, or one more where the
     /// pixel's number in a lattice, shifted anew in each frame, is below the effort's fraction.
     ///
-    /// The shift is uniform, so every pixel has one more with a probability of just the fraction, and
-    /// independently of all estimates: their mean over a frame's own number is unbiased pixel by
-    /// pixel. The lattice spreads the pixels that have one more evenly over the picture (the additive
-    /// recurrence R₂ of Roberts 2018, *The Unreasonable Effectiveness of Quasirandom Sequences*).
+    /// The shift is uniform, so every pixel has one more with a probability of just the fraction,
+    /// and independently of all estimates: their mean over a frame's own number is unbiased pixel
+    /// by pixel. The lattice spreads the pixels that have one more evenly over the picture (the
+    /// additive recurrence R₂ of Roberts 2018, *The Unreasonable Effectiveness of Quasirandom
+    /// Sequences*).
     #[inline]
     #[must_use]
     pub fn estimates(&self, pixel: Pixel) -> u32 {

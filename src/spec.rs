@@ -155,8 +155,8 @@ impl<T: Clone> Row<T> {
     }
 }
 
-/// `default` with the values of a SPEC in place of its own. Every key has a row ([`crate::techniques::parse`]
-/// has checked that).
+/// `default` with the values of a SPEC in place of its own. Every key has a row
+/// ([`crate::techniques::parse`] has checked that).
 ///
 /// # Errors
 /// A usage error that names the key, what was given and what is allowed.

@@ -1,8 +1,10 @@
-//! Trees over bounding boxes by obvhs, made safe: no input panics, aborts, takes quadratic time or overflows a traversal's stack.
+//! Trees over bounding boxes by obvhs, made safe: no input panics, aborts, takes quadratic time or
+//! overflows a traversal's stack.
 //!
-//! obvhs' clustering takes quadratic time and depth on many boxes that it cannot order (equal centres), so equal boxes are grouped
-//! into one primitive beyond [`GROUP`], and a scene with more than [`CONCENTRIC`] different boxes of one centre, or a tree deeper than
-//! the stacks, is built by halving at the median instead: depth ≤ 32 for any input.
+//! obvhs' clustering takes quadratic time and depth on many boxes that it cannot order (equal
+//! centres), so equal boxes are grouped into one primitive beyond [`GROUP`], and a scene with more
+//! than [`CONCENTRIC`] different boxes of one centre, or a tree deeper than the stacks, is built by
+//! halving at the median instead: depth ≤ 32 for any input.
 
 use glam::Vec3A;
 use obvhs::BvhBuildParams;
@@ -252,10 +254,12 @@ fn halve(boxes: &[Aabb]) -> Bvh2 {
     }
 }
 
-/// Replaces the compressed planes by such that bound their children exactly, and returns the number of levels.
+/// Replaces the compressed planes by such that bound their children exactly, and returns the number
+/// of levels.
 ///
-/// obvhs rounds `(min − p) / e` before it takes the floor, and clamps where the rounded `log2` was too low: planes may lie inside of what
-/// they bound by some 10⁻⁷ of the node. Here p, e and the differences are compared in f64, where they are exact or nearly so.
+/// obvhs rounds `(min − p) / e` before it takes the floor, and clamps where the rounded `log2` was
+/// too low: planes may lie inside of what they bound by some 10⁻⁷ of the node. Here p, e and the
+/// differences are compared in f64, where they are exact or nearly so.
 fn quantize(nodes: &mut [CwBvhNode], order: &[u32], boxes: &[Aabb]) -> usize {
     let none = Aabb::INVALID;
     let mut bounds = vec![none; nodes.len()];

@@ -1,4 +1,5 @@
-//! Trees and primitives as words for a graphics processor: `gpu/wgsl/accel.wgsl` reads what is written here.
+//! Trees and primitives as words for a graphics processor: `gpu/wgsl/accel.wgsl` reads what is
+//! written here.
 
 use std::sync::Arc;
 
@@ -175,7 +176,8 @@ impl Accel {
         first
     }
 
-    /// Writes the tree over instances: its first quad, its leaves' instances, its reach. [`NO_TREE`] without one.
+    /// Writes the tree over instances: its first quad, its leaves' instances, its reach.
+    /// [`NO_TREE`] without one.
     ///
     /// # Errors
     /// As [`Accel::export_bottoms`].

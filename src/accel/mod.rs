@@ -1,4 +1,5 @@
-//! Ray queries: closest hit and occlusion over a scene's triangles, spheres and disks, without an epsilon.
+//! Ray queries: closest hit and occlusion over a scene's triangles, spheres and disks, without an
+//! epsilon.
 //!
 //! | file | holds |
 //! |---|---|
@@ -7,9 +8,10 @@
 //! | `traverse` | the loops over both layouts |
 //! | `point` | the geometry at a hit |
 //!
-//! A still scene is one tree over world-space primitives (vertices as `to_world.transform_point3` rounds them). A scene that moves or
-//! places an object more than once has one tree for each object and one over the instances; rays are brought into an object's space in
-//! f64 and t is shared, as the direction is not normalised. Quadrics are always tested in their object's space.
+//! A still scene is one tree over world-space primitives (vertices as `to_world.transform_point3`
+//! rounds them). A scene that moves or places an object more than once has one tree for each object
+//! and one over the instances; rays are brought into an object's space in f64 and t is shared, as
+//! the direction is not normalised. Quadrics are always tested in their object's space.
 
 mod build;
 #[cfg(feature = "gpu")]
@@ -37,7 +39,8 @@ use triangle::Slot;
 
 pub use point::{HitPoint, triangle_orientation};
 
-/// Coordinates beyond this are dropped from scenes, and rays that start beyond it miss (products of two stay finite in f32).
+/// Coordinates beyond this are dropped from scenes, and rays that start beyond it miss (products of
+/// two stay finite in f32).
 pub const MAX_COORDINATE: f32 = 1e18;
 
 /// A half line or a segment.
@@ -56,7 +59,8 @@ pub struct Ray {
 pub struct Hit {
     /// Ray parameter.
     pub t: f32,
-    /// Weight of a triangle's vertex 1; spheres and disks: their own parameters, for [`Accel::point`].
+    /// Weight of a triangle's vertex 1; spheres and disks: their own parameters, for
+    /// [`Accel::point`].
     pub u: f32,
     /// Weight of a triangle's vertex 2; vertex 0 has 1 − u − v.
     pub v: f32,
@@ -90,7 +94,8 @@ impl HitFilter for AcceptAll {
 /// The kind of tree.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Layout {
-    /// Eight children a node, planes in 8 bits (Ylitie, Karras, Laine 2017): fastest here, smallest.
+    /// Eight children a node, planes in 8 bits (Ylitie, Karras, Laine 2017): fastest here,
+    /// smallest.
     #[default]
     Cwbvh,
     /// Two children a node, planes in f32.
@@ -114,12 +119,13 @@ pub enum Quality {
 pub struct BuildOptions {
     /// The kind of tree.
     pub layout: Layout,
-    /// Whether each object has a tree of its own, so that [`Accel::rebuild`] shares them; pass `Some(true)` for a scene that moves.
-    /// `None`: only if an object is placed more than once.
+    /// Whether each object has a tree of its own, so that [`Accel::rebuild`] shares them; pass
+    /// `Some(true)` for a scene that moves. `None`: only if an object is placed more than once.
     pub two_level: Option<bool>,
     /// How much time goes into a tree.
     pub quality: Quality,
-    /// Whether the plain tests are used even where the processor has AVX2; for tests of equality and measurements.
+    /// Whether the plain tests are used even where the processor has AVX2; for tests of equality
+    /// and measurements.
     pub portable: bool,
 }
 
@@ -140,7 +146,8 @@ pub struct BuildReport {
     pub two_level: bool,
 }
 
-/// What [`Accel::point`] needs beside the slot, in the tree's space: one place in memory a hit, whatever the mesh looks like.
+/// What [`Accel::point`] needs beside the slot, in the tree's space: one place in memory a hit,
+/// whatever the mesh looks like.
 #[derive(Clone, Copy, Debug, Default)]
 struct Cold {
     /// Into [`Bottom::shapes`].
@@ -253,7 +260,8 @@ pub struct Accel {
 impl Accel {
     /// Builds over a scene whose transforms are fixed (see [`Scene::at`]).
     ///
-    /// Coincident, degenerate and non-finite primitives are no errors: the latter two are dropped and counted.
+    /// Coincident, degenerate and non-finite primitives are no errors: the latter two are dropped
+    /// and counted.
     ///
     /// # Errors
     /// A singular or non-finite instance transform; more than 2²⁹ primitives.
@@ -261,7 +269,8 @@ impl Accel {
         Self::build_from(scene, options, &[])
     }
 
-    /// The structure of the next frame: trees of objects that both scenes share are shared, the rest is built.
+    /// The structure of the next frame: trees of objects that both scenes share are shared, the
+    /// rest is built.
     ///
     /// # Errors
     /// As [`Accel::build`].
@@ -385,7 +394,8 @@ struct Gather {
 }
 
 impl Gather {
-    /// Adds an object's shapes. `vertices`: to the tree's space; `quadrics`: the same for the boxes of spheres and disks.
+    /// Adds an object's shapes. `vertices`: to the tree's space; `quadrics`: the same for the boxes
+    /// of spheres and disks.
     fn add(
         &mut self,
         object: &Object,
@@ -520,7 +530,8 @@ fn transformed_box(center: DVec3, to_tree: Option<&DAffine3>, half: impl Fn(DVec
     outward(center - half, center + half)
 }
 
-/// f32 bounds around f64 ones, and at least one unit in the last place of room for their own rounding.
+/// f32 bounds around f64 ones, and at least one unit in the last place of room for their own
+/// rounding.
 fn outward(min: DVec3, max: DVec3) -> Aabb {
     let down = |v: f64| (v as f32).next_down();
     let up = |v: f64| (v as f32).next_up();

@@ -7,15 +7,17 @@
 //! | a, b | (p − o) / d and e / d, so that a plane is at t = a + q b |
 //! | u | 2⁻²⁴ |
 //!
-//! *Rounding.* a carries 3 roundings, b one, the sum and its slack 3, the comparison with a rounded t one, the rounding of an instance's
-//! ray two: each is at most u (|a| + 255 |b|), as any t inside the node is. So near planes move by −16u (|a| + 255 |b|) and far planes by the
-//! same upwards, which is one operation a node, not one a child. The quantised planes themselves are outside of what they bound,
-//! exactly (see `build`).
+//! *Rounding.* a carries 3 roundings, b one, the sum and its slack 3, the comparison with a rounded
+//! t one, the rounding of an instance's ray two: each is at most u (|a| + 255 |b|), as any t inside
+//! the node is. So near planes move by −16u (|a| + 255 |b|) and far planes by the same upwards,
+//! which is one operation a node, not one a child. The quantised planes themselves are outside of
+//! what they bound, exactly (see `build`).
 //!
-//! *Axis-parallel rays.* Where |`d_i`| < 2⁻³⁰ m the axis only asks whether `o_i` lies between the planes, and 1 / `d_i` may be infinite. With
-//! R ≥ |`o_j`| + |any coordinate|, nothing is hit beyond t = R / m and the ray drifts less than 2⁻³⁰ R along i until then. So 1 / `d_i` is
-//! replaced by 2³⁰ / m and the slack raised by 2 R / m: a box that is missed by more than 2⁻²⁹ R still is, one that contains `o_i` never.
-//! No infinity arises, so no NaN.
+//! *Axis-parallel rays.* Where |`d_i`| < 2⁻³⁰ m the axis only asks whether `o_i` lies between the
+//! planes, and 1 / `d_i` may be infinite. With R ≥ |`o_j`| + |any coordinate|, nothing is hit
+//! beyond t = R / m and the ray drifts less than 2⁻³⁰ R along i until then. So 1 / `d_i` is
+//! replaced by 2³⁰ / m and the slack raised by 2 R / m: a box that is missed by more than 2⁻²⁹ R
+//! still is, one that contains `o_i` never. No infinity arises, so no NaN.
 
 use glam::{Vec3, Vec3A};
 use obvhs::bvh2::node::Bvh2Node;
@@ -37,8 +39,9 @@ pub(super) struct BoxRay {
 const ROUNDING: f32 = 8.0 * f32::EPSILON;
 
 impl BoxRay {
-    /// Unless `rounded`, `direction`'s largest component must be within [2⁻¹⁶, 2¹⁶]; `reach` ≥ |any coordinate of the tree|. `rounded`: origin and
-    /// direction were rounded to f32 from a transformed ray.
+    /// Unless `rounded`, `direction`'s largest component must be within [2⁻¹⁶, 2¹⁶]; `reach` ≥ |any
+    /// coordinate of the tree|. `rounded`: origin and direction were rounded to f32 from a
+    /// transformed ray.
     #[inline(always)]
     pub(super) fn new(origin: Vec3, direction: Vec3, reach: f32, rounded: bool) -> Self {
         if rounded && !Self::in_range(origin, direction) {

@@ -1,9 +1,11 @@
 //! The geometry at a hit: position with its error bound, normals, texture coordinates.
 //!
-//! Positions are sums of vertices by barycentric weights in f64, rounded once, so they lie in the surface to half a unit in the last
-//! place: |`error_i`| ≤ 2⁻²⁴ |`p_i`|, plus what the weights' and the transform's own f64 roundings and the f64 inverse can cost when a ray
-//! comes back into an instance's space, 2⁻⁴⁰ times the sum of the magnitudes added (bound met for transforms of condition < 2⁻⁴⁰/2⁻⁵² = 4096
-//! relative to that sum; beyond, the offset loses its guarantee gradually).
+//! Positions are sums of vertices by barycentric weights in f64, rounded once, so they lie in the
+//! surface to half a unit in the last place: |`error_i`| ≤ 2⁻²⁴ |`p_i`|, plus what the weights' and
+//! the transform's own f64 roundings and the f64 inverse can cost when a ray comes back into an
+//! instance's space, 2⁻⁴⁰ times the sum of the magnitudes added (bound met for transforms of
+//! condition < 2⁻⁴⁰/2⁻⁵² = 4096 relative to that sum; beyond, the offset loses its guarantee
+//! gradually).
 
 use glam::{Affine3A, DVec3, Vec2, Vec3};
 
@@ -18,16 +20,19 @@ use crate::scene::{Geometry, Mesh};
 pub struct HitPoint {
     /// On the surface, to within `error`.
     pub position: Vec3,
-    /// Bound on |position − true position|, per component: what [`crate::math::offset_origin`] takes.
+    /// Bound on |position − true position|, per component: what [`crate::math::offset_origin`]
+    /// takes.
     pub error: Vec3,
-    /// Unit normal of the face. Its side is decided per triangle by [`triangle_orientation`], is outward for spheres, and turned around by
-    /// `reverse_orientation`.
+    /// Unit normal of the face. Its side is decided per triangle by [`triangle_orientation`], is
+    /// outward for spheres, and turned around by `reverse_orientation`.
     pub geometric_normal: Vec3,
-    /// Unit interpolated normal; the geometric one where there is none, where it vanishes or points to the other side.
+    /// Unit interpolated normal; the geometric one where there is none, where it vanishes or points
+    /// to the other side.
     pub shading_normal: Vec3,
     /// Texture coordinates.
     pub uv: Vec2,
-    /// Running number of the shape: over the instances in order, then over each one's object's shapes in order.
+    /// Running number of the shape: over the instances in order, then over each one's object's
+    /// shapes in order.
     pub shape: u32,
     /// The triangle's number in its mesh, else 0.
     pub element: u32,
@@ -35,11 +40,12 @@ pub struct HitPoint {
     pub instance: u32,
 }
 
-/// Which way a triangle's geometric normal points, relative to (p₁ − p₀) × (p₂ − p₀) in object space: the side of the sum of its vertex
-/// normals if the mesh has them, else turned around if `reverse`. Everything about one triangle (emission above all) uses this one sign.
+/// Which way a triangle's geometric normal points, relative to (p₁ − p₀) × (p₂ − p₀) in object
+/// space: the side of the sum of its vertex normals if the mesh has them, else turned around if
+/// `reverse`. Everything about one triangle (emission above all) uses this one sign.
 ///
-/// In world space the cross product of transformed edges changes side under a mirroring transform, a normal does not: multiply by the sign
-/// of the transform's determinant to compare with that.
+/// In world space the cross product of transformed edges changes side under a mirroring transform,
+/// a normal does not: multiply by the sign of the transform's determinant to compare with that.
 #[must_use]
 pub fn triangle_orientation(mesh: &Mesh, triangle: usize, reverse: bool) -> f32 {
     if mesh.normals.is_empty() {
@@ -54,7 +60,8 @@ pub fn triangle_orientation(mesh: &Mesh, triangle: usize, reverse: bool) -> f32 
 const ROUNDING: f64 = 1.0 / (1_u64 << 24) as f64;
 const RESIDUE: f64 = 1.0 / (1_u64 << 40) as f64;
 
-/// Half a unit in the last place of `position`, and what its sum in f64 may have lost of `magnitude`. Never zero, whatever f32 flushes.
+/// Half a unit in the last place of `position`, and what its sum in f64 may have lost of
+/// `magnitude`. Never zero, whatever f32 flushes.
 #[inline]
 fn error_bound(position: DVec3, magnitude: DVec3) -> Vec3 {
     (position.abs() * ROUNDING + magnitude * RESIDUE).as_vec3() + f32::MIN_POSITIVE
@@ -111,7 +118,8 @@ impl Accel {
         }
     }
 
-    /// Running shape number and element of a hit: all that emission's table asks, without the geometry.
+    /// Running shape number and element of a hit: all that emission's table asks, without the
+    /// geometry.
     #[inline]
     #[must_use]
     pub fn shape_of(&self, hit: &Hit) -> (u32, u32) {
@@ -121,8 +129,8 @@ impl Accel {
         (first + cold.shape, cold.element)
     }
 
-    /// Derivative of position along the first texture coordinate at a hit, in world space: what turns anisotropic lobes. Never zero; for an
-    /// image without area any tangent.
+    /// Derivative of position along the first texture coordinate at a hit, in world space: what
+    /// turns anisotropic lobes. Never zero; for an image without area any tangent.
     #[must_use]
     pub fn tangent(&self, hit: &Hit) -> Vec3 {
         let bottom = self.bottom(hit.instance);
@@ -196,7 +204,8 @@ impl Accel {
         }
     }
 
-    /// Where the surface point of `hit` would be if its instance stood at `to_world`; for motion vectors.
+    /// Where the surface point of `hit` would be if its instance stood at `to_world`; for motion
+    /// vectors.
     #[must_use]
     pub fn point_under(&self, hit: &Hit, to_world: Affine3A) -> Vec3 {
         let bottom = self.bottom(hit.instance);

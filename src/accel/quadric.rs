@@ -6,8 +6,9 @@
 //! | (u, v) of a sphere's hit | octahedral code of the object-space normal |
 //! | (u, v) of a disk's hit | position in units of the radius in `Frame::from_normal` |
 //!
-//! A root within 2⁻⁴⁰ (|o| + r) / |d| of 0 is not told from the origin's own surface and dropped: the roundings of the stable quadratic
-//! (Pharr, Jakob, Humphreys 2023, section 6.8.3) are below 2⁻⁴⁸ of that, an origin offset from the surface is 2⁻²⁵ away.
+//! A root within 2⁻⁴⁰ (|o| + r) / |d| of 0 is not told from the origin's own surface and dropped:
+//! the roundings of the stable quadratic (Pharr, Jakob, Humphreys 2023, section 6.8.3) are below
+//! 2⁻⁴⁸ of that, an origin offset from the surface is 2⁻²⁵ away.
 
 use glam::{DVec2, DVec3, Vec2};
 

@@ -12,7 +12,8 @@ use super::triangle::{Kind, TriangleRay};
 use super::{Accel, Bottom, Hit, HitFilter, Ray};
 
 impl Accel {
-    /// The hit with the least t in (0, `ray.t_max`) that `filter` accepts; among hits at the very same t, the first in the scene's order.
+    /// The hit with the least t in (0, `ray.t_max`) that `filter` accepts; among hits at the very
+    /// same t, the first in the scene's order.
     ///
     /// A ray with a NaN, an infinite origin or direction, or no direction misses.
     #[must_use]
@@ -22,8 +23,9 @@ impl Accel {
 
     /// Whether `filter` accepts any hit with t in (0, `ray.t_max`).
     ///
-    /// The end is robust: a hit whose t is below `t_max` only by what the rounding of the direction's components to f32 can do is none. So
-    /// between two points offset from their surfaces, `direction` = their difference and `t_max` = 1 see neither surface.
+    /// The end is robust: a hit whose t is below `t_max` only by what the rounding of the
+    /// direction's components to f32 can do is none. So between two points offset from their
+    /// surfaces, `direction` = their difference and `t_max` = 1 see neither surface.
     #[must_use]
     pub fn occluded<F: HitFilter>(&self, ray: &Ray, filter: &F) -> bool {
         self.query::<F, true>(ray, filter).is_some()
@@ -41,7 +43,8 @@ impl Accel {
 
 #[cfg(test)]
 impl Accel {
-    /// What [`Accel::closest_hit`] must return, by testing everything with the plain tests and no tree.
+    /// What [`Accel::closest_hit`] must return, by testing everything with the plain tests and no
+    /// tree.
     pub(super) fn exhaustive_hit<F: HitFilter>(&self, ray: &Ray, filter: &F) -> Option<Hit> {
         let scaled = scale(ray)?;
         let (limit, limit32) = (scaled.t_max, scaled.t_max as f32);
@@ -165,7 +168,8 @@ impl<F: HitFilter, const ANY: bool> Query<'_, F, ANY> {
         (instance, cold.shape, cold.element)
     }
 
-    /// Whether t plus its uncertainty from a rounded direction is beyond the end: `2⁻²⁴ Σ |n_i d_i| / |n·d|` of t.
+    /// Whether t plus its uncertainty from a rounded direction is beyond the end:
+    /// `2⁻²⁴ Σ |n_i d_i| / |n·d|` of t.
     #[inline(always)]
     fn past_end(&self, t: f64, normal: DVec3) -> bool {
         const ROUNDING: f64 = 1.0 / (1 << 24) as f64;
@@ -285,7 +289,8 @@ impl<K: Kernel, F: HitFilter, const ANY: bool> Visitor<K> for Primitives<'_, '_,
 
     #[inline(always)]
     fn leaf(&mut self, kernel: K, first: u32, count: u32) -> bool {
-        // Loops, not closures: what the compiler leaves outside of the vectorised function loses its instructions.
+        // Loops, not closures: what the compiler leaves outside of the vectorised function loses
+        // its instructions.
         for number in first..first + count {
             if !self.bottom.mixed {
                 if self.triangle(kernel, number) {

@@ -1,4 +1,5 @@
-//! Queries against exhaustive search and in the corners. Everything here is exact or counted; nothing is statistical.
+//! Queries against exhaustive search and in the corners. Everything here is exact or counted;
+//! nothing is statistical.
 
 use glam::{Affine3A, Quat, Vec2};
 
@@ -118,7 +119,8 @@ fn every_tree_and_kernel_finds_what_exhaustive_search_finds() {
     assert!(hits > 25_000, "{hits}");
 }
 
-/// Moving one shape's scene to instances: rotated, sheared, mirrored, all of them placements of three objects.
+/// Moving one shape's scene to instances: rotated, sheared, mirrored, all of them placements of
+/// three objects.
 fn instanced_scene(random: &mut Random) -> Scene {
     let mut scene = Scene::new("instances");
     let objects: Vec<_> = (0..3)
@@ -676,7 +678,8 @@ fn normals_keep_their_side_through_instances() {
             let p = point(mesh, scale, reverse, two_level);
             (p.geometric_normal, p.shading_normal)
         };
-        // Mirrored across x: the corners turn around in world space, the normal of a face towards +z still does not.
+        // Mirrored across x: the corners turn around in world space, the normal of a face towards
+        // +z still does not.
         let stretched = Vec3::new(-1e4, 1.0, 1.0);
         for scale in [Vec3::ONE, stretched] {
             assert_eq!(normal(&mesh, scale, false), (Vec3::Z, Vec3::Z));

@@ -1,7 +1,8 @@
 //! Ordered traversal of both layouts, for any kernel of node and triangle tests.
 //!
-//! The stack holds children with the distance at which the ray enters them, nearest on top; one that lies behind the closest hit by the
-//! time it is popped is skipped. Leaves wait on the stack as nodes do.
+//! The stack holds children with the distance at which the ray enters them, nearest on top; one
+//! that lies behind the closest hit by the time it is popped is skipped. Leaves wait on the stack
+//! as nodes do.
 
 use glam::Vec3;
 use obvhs::bvh2::node::Bvh2Node;
@@ -13,8 +14,8 @@ use super::build::{Nodes, Tree};
 use super::node::{self, BoxRay, Children};
 use super::triangle::{self, Edges, Slot, TriangleRay};
 
-/// The tests that exist in a plain and a vector form. Both forms of the triangle test give the same bits; both forms of the node test are
-/// conservative, so hits never depend on the kernel.
+/// The tests that exist in a plain and a vector form. Both forms of the triangle test give the same
+/// bits; both forms of the node test are conservative, so hits never depend on the kernel.
 pub(super) trait Kernel: Copy {
     fn children(self, node: &CwBvhNode, ray: &BoxRay, t_max: f32) -> Children;
     fn edges(self, slot: &Slot, ray: &TriangleRay) -> Option<Edges>;
@@ -70,7 +71,8 @@ const LEAF: u32 = 1 << 31;
 /// Primitives beyond this cannot be named by an [`Entry`].
 pub(super) const MAX_SLOTS: usize = 1 << 29;
 
-/// Entries that almost every ray gets by with: clearing a stack for the deepest tree costs as much as a node.
+/// Entries that almost every ray gets by with: clearing a stack for the deepest tree costs as much
+/// as a node.
 const SHALLOW: usize = 32;
 
 /// Traverses `tree`, whose depth must suit `STACK` (see `build`). True if a leaf ended it.
@@ -90,7 +92,8 @@ pub(super) fn traverse<const STACK: usize, K: Kernel, V: Visitor<K> + Visitor<Po
     }
 }
 
-/// The same search from the start (what was found so far still bounds it), with a stack that no tree overflows.
+/// The same search from the start (what was found so far still bounds it), with a stack that no
+/// tree overflows.
 #[cold]
 #[inline(never)]
 fn deep<const STACK: usize, V: Visitor<Portable>>(
@@ -227,7 +230,8 @@ pub(super) struct Scaled {
     pub(super) unit: f64,
 }
 
-/// `None`: the ray is not one (NaN, infinite, no direction, empty range, origin beyond ±10¹⁸), and misses everything.
+/// `None`: the ray is not one (NaN, infinite, no direction, empty range, origin beyond ±10¹⁸), and
+/// misses everything.
 #[inline(always)]
 pub(super) fn scale(ray: &super::Ray) -> Option<Scaled> {
     let m = ray.direction.abs().max_element();

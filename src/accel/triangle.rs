@@ -1,4 +1,5 @@
-//! Watertight ray-triangle intersection (Woop, Benthin, Wald 2013, "Watertight ray/triangle intersection", JCGT 2(1)) in f64.
+//! Watertight ray-triangle intersection (Woop, Benthin, Wald 2013, "Watertight ray/triangle
+//! intersection", JCGT 2(1)) in f64.
 //!
 //! | symbol | meaning |
 //! |---|---|
@@ -7,24 +8,29 @@
 //! | x, y, z | vertices relative to the origin, along i and j after the shear, along k before it |
 //! | E | edge functions, one for the edge opposite each vertex; det = ΣE |
 //!
-//! Two deviations. The paper works in f32 and repeats in f64 where an edge function is zero; here every vertex is sheared in f64, which
-//! one four-lane register does at once, so E needs no second look and t is exact to f32's rounding. The axes i and j are not swapped
-//! for a negative `d_k`: no test here depends on the winding.
+//! Two deviations. The paper works in f32 and repeats in f64 where an edge function is zero; here
+//! every vertex is sheared in f64, which one four-lane register does at once, so E needs no second
+//! look and t is exact to f32's rounding. The axes i and j are not swapped for a negative `d_k`: no
+//! test here depends on the winding.
 //!
-//! *Watertight*: an edge's two triangles shear the same vertices by the same operations and form the same two rounded products with
-//! opposite signs, so at any edge one of them accepts (both at E = 0). Nothing may be contracted into fused operations here.
+//! *Watertight*: an edge's two triangles shear the same vertices by the same operations and form
+//! the same two rounded products with opposite signs, so at any edge one of them accepts (both at
+//! E = 0). Nothing may be contracted into fused operations here.
 //!
-//! *No self-intersection*: let X, Y, Z be the largest |x|, |y|, |z| and u = 2⁻⁵³. A relative vertex costs 1 rounding, its shear 2 more
-//! on terms up to 2X, E two products and a difference: |ΔE| ≤ 16u XY. With `t = Σ E z / (det d_k)` and |Σ E z| ≤ 3 max|E| Z, all of it is
-//! within `2⁻⁴⁷ Z (XY + |det|) / |det d_k|` of the true quotient. A hit nearer than that bound is not told from the origin's own surface
-//! and dropped (the test takes the sum of the three magnitudes for each of X, Y, Z: cheaper, and at most 27 times more). A ray from
-//! `math::offset_origin` starts at least 2⁻²⁵ of its coordinates off its surface, so it passes everything else.
+//! *No self-intersection*: let X, Y, Z be the largest |x|, |y|, |z| and u = 2⁻⁵³. A relative vertex
+//! costs 1 rounding, its shear 2 more on terms up to 2X, E two products and a difference: |ΔE| ≤
+//! 16u XY. With `t = Σ E z / (det d_k)` and |Σ E z| ≤ 3 max|E| Z, all of it is within
+//! `2⁻⁴⁷ Z (XY + |det|) / |det d_k|` of the true quotient. A hit nearer than that bound is not told
+//! from the origin's own surface and dropped (the test takes the sum of the three magnitudes for
+//! each of X, Y, Z: cheaper, and at most 27 times more). A ray from `math::offset_origin` starts at
+//! least 2⁻²⁵ of its coordinates off its surface, so it passes everything else.
 
 use glam::DVec3;
 #[cfg(target_arch = "x86_64")]
 use pulp::x86::V3;
 
-/// One primitive as the traversal reads it, by axis, in leaf order; `x[3]` tells the [`Kind`]. 48 bytes.
+/// One primitive as the traversal reads it, by axis, in leaf order; `x[3]` tells the [`Kind`]. 48
+/// bytes.
 #[derive(Clone, Copy, Debug, Default, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C, align(16))]
 pub(super) struct Slot(pub(super) [[f32; 4]; 3]);
@@ -141,7 +147,8 @@ impl TriangleRay {
         }
     }
 
-    /// `(t, u, v)` from the edge functions, or `None` at t ≤ δ (see the module), beyond `limit`, and for an edge-on triangle.
+    /// `(t, u, v)` from the edge functions, or `None` at t ≤ δ (see the module), beyond `limit`,
+    /// and for an edge-on triangle.
     #[inline(always)]
     pub(super) fn distance(&self, edges: &Edges, limit: f64) -> Option<(f64, f64, f64)> {
         let Edges { e, x, y, z } = edges;
@@ -163,7 +170,8 @@ impl TriangleRay {
     }
 }
 
-/// At least the largest magnitude, and at most thrice: sums are cheaper than maxima, which must tell NaNs apart.
+/// At least the largest magnitude, and at most thrice: sums are cheaper than maxima, which must
+/// tell NaNs apart.
 #[inline(always)]
 fn total(a: &[f64; 4]) -> f64 {
     a[0].abs() + a[1].abs() + a[2].abs()
@@ -185,8 +193,8 @@ pub(super) fn edges_portable(slot: &Slot, ray: &TriangleRay) -> Option<Edges> {
     (negative != positive).then_some(Edges { e, x, y, z })
 }
 
-/// [`edges_portable`] with the three vertices in the lanes of one register: same operations, same bits. No closures: they would be
-/// compiled without the vector instructions.
+/// [`edges_portable`] with the three vertices in the lanes of one register: same operations, same
+/// bits. No closures: they would be compiled without the vector instructions.
 #[cfg(target_arch = "x86_64")]
 #[inline(always)]
 pub(super) fn edges_avx2(simd: V3, slot: &Slot, ray: &TriangleRay) -> Option<Edges> {

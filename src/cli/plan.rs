@@ -34,7 +34,8 @@ pub(super) struct PlanArgs {
     /// Positions of primary rays
     #[arg(long, value_enum, default_value_t = FilterArg::Point)]
     filter: FilterArg,
-    /// Independent estimates a pixel and frame; of a technique that keeps reservoirs, chains of them
+    /// Independent estimates a pixel and frame; of a technique that keeps reservoirs, chains of
+    /// them
     #[arg(long, value_name = "N", default_value_t = 1.0)]
     spp: f32,
     /// Print JSON

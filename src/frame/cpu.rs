@@ -6,14 +6,17 @@ use crate::counters::Counters;
 use crate::pass::{Band, Buffer, MAX_WRITES, TileGrid};
 use crate::plan::{Domain, Pass, Plan, Shot};
 
-/// Rows of a task over single pixels: small enough to balance, large enough that rays of one task stay near each other.
+/// Rows of a task over single pixels: small enough to balance, large enough that rays of one task
+/// stay near each other.
 const ROWS_A_TASK: u32 = 4;
 /// Items of a task.
 const ITEMS_A_TASK: u32 = 64;
 
-/// Cuts the pass's domain into tasks and runs `kernel` on each, with all buffers readable but those that the pass writes.
+/// Cuts the pass's domain into tasks and runs `kernel` on each, with all buffers readable but those
+/// that the pass writes.
 ///
-/// The cut is a binary tree of disjoint mutable slices: no locks, no allocation a task, and sums in an order that does not depend on threads.
+/// The cut is a binary tree of disjoint mutable slices: no locks, no allocation a task, and sums in
+/// an order that does not depend on threads.
 pub(super) fn run_pass(
     pass: &Pass,
     plan: &Plan,

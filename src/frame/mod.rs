@@ -81,9 +81,9 @@ impl FrameLoop {
     /// A loop before its first frame, on the CPU.
     ///
     /// # Errors
-    /// A picture without pixels or with 2³¹ or more, a depth of 0, an effort below 1 or, for chains of
-    /// reservoirs, one that is not whole; no frames a second;
-    /// parameters that [`Technique::validate`] refuses.
+    /// A picture without pixels or with 2³¹ or more, a depth of 0, an effort below 1 or, for chains
+    /// of reservoirs, one that is not whole; no frames a second; parameters that
+    /// [`Technique::validate`] refuses.
     pub fn new(technique: Arc<dyn Technique>, stage: &Stage, shot: Shot) -> Result<Self> {
         Self::with_backend(technique, stage, shot, &Backend::Cpu)
     }

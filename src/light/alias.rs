@@ -64,8 +64,9 @@ impl AliasTable {
         self.slots.is_empty()
     }
 
-    /// The entry for 64 random bits; the table must not be empty. The product's upper word is the slot, its next 32 bits decide between
-    /// slot and alias, so that a million entries still leave 2⁴⁴ levels for each.
+    /// The entry for 64 random bits; the table must not be empty. The product's upper word is the
+    /// slot, its next 32 bits decide between slot and alias, so that a million entries still leave
+    /// 2⁴⁴ levels for each.
     #[inline]
     #[must_use]
     pub fn sample(&self, index_word: u32, fraction_word: u32) -> u32 {

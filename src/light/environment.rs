@@ -1,7 +1,8 @@
 //! Light from infinity: radiance by direction, and directions drawn by radiance.
 //!
-//! Radiance is bilinear between texel centres; the density is constant over each texel's solid angle and proportional to the exact mean
-//! luminance of the bilinear radiance there, so it is positive wherever radiance is.
+//! Radiance is bilinear between texel centres; the density is constant over each texel's solid
+//! angle and proportional to the exact mean luminance of the bilinear radiance there, so it is
+//! positive wherever radiance is.
 
 use std::f32::consts::{PI, TAU};
 use std::sync::Arc;
@@ -28,7 +29,8 @@ struct Texels {
     distribution: Grid,
 }
 
-/// A density over the unit square, constant on `width` × `height` cells; column by inverse CDF inside a row by inverse CDF.
+/// A density over the unit square, constant on `width` × `height` cells; column by inverse CDF
+/// inside a row by inverse CDF.
 #[derive(Clone, Debug)]
 struct Grid {
     width: usize,
@@ -59,7 +61,8 @@ impl Grid {
             cdf(&mut row.iter().copied(), *sum, &mut columns);
         }
         let mut grid = Self { width, rows, columns, cells: Vec::new() };
-        // The probability of what the rounded tables really draw, so that density and draws agree to the last bit.
+        // The probability of what the rounded tables really draw, so that density and draws agree
+        // to the last bit.
         grid.cells = (0..width * height)
             .map(|i| {
                 let (y, row) = (i / width, grid.row(i / width));
@@ -90,7 +93,8 @@ impl Grid {
     }
 }
 
-/// The interval of a CDF that holds `u` in [0, 1), and the position inside it in [0, 1). Empty intervals are never chosen.
+/// The interval of a CDF that holds `u` in [0, 1), and the position inside it in [0, 1). Empty
+/// intervals are never chosen.
 fn invert_cdf(cdf: &[f32], u: f32) -> (usize, f32) {
     let u = u * cdf[cdf.len() - 1];
     let index = cdf.partition_point(|c| *c <= u).clamp(1, cdf.len() - 1) - 1;
@@ -102,7 +106,8 @@ fn invert_cdf(cdf: &[f32], u: f32) -> (usize, f32) {
 }
 
 impl Environment {
-    /// An environment with light space rotated by the linear part of `to_world` (its inverse must exist).
+    /// An environment with light space rotated by the linear part of `to_world` (its inverse must
+    /// exist).
     #[must_use]
     pub fn new(
         radiance: Vec3,
@@ -122,7 +127,8 @@ impl Environment {
                     EnvironmentMapping::EqualAreaOctahedral => 1.0,
                 };
                 weights.extend((0..width).map(|x| {
-                    // The mean over a texel of the bilinear interpolant: [1/8, 6/8, 1/8] of the texels along each axis.
+                    // The mean over a texel of the bilinear interpolant: [1/8, 6/8, 1/8] of the
+                    // texels along each axis.
                     let mut sum = 0.0;
                     for (dy, wy) in [(-1, 0.125), (0, 0.75), (1, 0.125)] {
                         for (dx, wx) in [(-1, 0.125), (0, 0.75), (1, 0.125)] {
@@ -137,7 +143,8 @@ impl Environment {
             Texels { image, mapping, distribution }
         });
         let to_light = to_world.inverse();
-        // The inverse of what other directions are turned by, not `to_world` itself: samples and densities then agree to the last bit.
+        // The inverse of what other directions are turned by, not `to_world` itself: samples and
+        // densities then agree to the last bit.
         Self { radiance, to_light, to_world: to_light.inverse(), image }
     }
 
@@ -219,7 +226,8 @@ impl Environment {
         self.image.as_ref().map(|texels| (&texels.image, texels.mapping))
     }
 
-    /// The image's tables: cumulative rows, cumulative columns row by row, probabilities of cells. Empty without one.
+    /// The image's tables: cumulative rows, cumulative columns row by row, probabilities of cells.
+    /// Empty without one.
     #[cfg(feature = "gpu")]
     pub(crate) fn tables(&self) -> [&[f32]; 3] {
         self.image.as_ref().map_or([&[]; 3], |texels| {
@@ -228,7 +236,8 @@ impl Environment {
         })
     }
 
-    /// The numbers that [`Environment::sample`] turns into `direction`; `None` where its density is 0.
+    /// The numbers that [`Environment::sample`] turns into `direction`; `None` where its density
+    /// is 0.
     #[must_use]
     pub fn invert(&self, direction: Vec3) -> Option<Vec2> {
         let local = (self.to_light * direction).normalize();
@@ -291,7 +300,8 @@ fn from_cell(texels: &Texels, x: usize, y: usize, inside: Vec2) -> Vec3 {
     }
 }
 
-/// The texel of a unit direction in light space and the position inside it: inverse of [`from_cell`].
+/// The texel of a unit direction in light space and the position inside it: inverse of
+/// [`from_cell`].
 fn to_cell(texels: &Texels, direction: Vec3) -> (usize, usize, Vec2) {
     let (width, height) = (texels.image.width as usize, texels.image.height as usize);
     let position = to_square(texels.mapping, direction) * Vec2::new(width as f32, height as f32);
@@ -327,7 +337,8 @@ fn to_square(mapping: EnvironmentMapping, d: Vec3) -> Vec2 {
     }
 }
 
-/// Equal-area octahedral map of the sphere to [0, 1]² (Clarberg 2008, *Fast Equal-Area Mapping of the (Hemi)Sphere using SIMD*).
+/// Equal-area octahedral map of the sphere to [0, 1]² (Clarberg 2008, *Fast Equal-Area Mapping of
+/// the (Hemi)Sphere using SIMD*).
 fn sphere_to_octahedral(d: Vec3) -> Vec2 {
     let (x, y) = (d.x.abs(), d.y.abs());
     let across = x * x + y * y;
@@ -427,7 +438,8 @@ mod tests {
     fn density_integrates_to_one_and_sampling_inverts() {
         for mapping in BOTH {
             let environment = bumpy(16, 16, mapping);
-            // Uniform directions: E[4π pdf] = 1. The standard error is printed by the failing assertion's bound: 4 of them.
+            // Uniform directions: E[4π pdf] = 1. The standard error is printed by the failing
+            // assertion's bound: 4 of them.
             let mut sum = 0.0;
             let mut squares = 0.0;
             let all = directions(200_000);
@@ -456,7 +468,8 @@ mod tests {
         }
     }
 
-    /// Importance sampling estimates ∫L dω; without the Jacobian of the map the lat-long answer would be far off.
+    /// Importance sampling estimates ∫L dω; without the Jacobian of the map the lat-long answer
+    /// would be far off.
     #[test]
     fn estimate_of_total_radiance_matches_quadrature() {
         for mapping in BOTH {

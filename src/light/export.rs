@@ -1,4 +1,5 @@
-//! The table of emitters as words for a graphics processor: `gpu/wgsl/light.wgsl` reads what is written here.
+//! The table of emitters as words for a graphics processor: `gpu/wgsl/light.wgsl` reads what is
+//! written here.
 
 use glam::{Mat3, Vec3};
 

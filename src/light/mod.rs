@@ -6,9 +6,10 @@
 //! | [`LightPoint`] | a light and two numbers on it: what a sample keeps, so that it moves with its light |
 //! | [`Incident`] | what such a point sends to a receiver |
 //!
-//! Measures: area on triangles, spheres and disks; solid angle on environments; counting on point, spot and distant lights.
-//! [`Lights::sample_towards`] may draw by other densities than uniform area (cones for spheres); what it reports is always the density
-//! per unit solid angle at the receiver, or 1 for counting.
+//! Measures: area on triangles, spheres and disks; solid angle on environments; counting on point,
+//! spot and distant lights. [`Lights::sample_towards`] may draw by other densities than uniform
+//! area (cones for spheres); what it reports is always the density per unit solid angle at the
+//! receiver, or 1 for counting.
 
 mod alias;
 mod environment;
@@ -50,7 +51,8 @@ pub struct Incident {
     pub direction: Vec3,
     /// Where a shadow ray ends, moved off the light's surface; `None`: at infinity.
     pub end: Option<Vec3>,
-    /// Radiance towards the receiver; for point, spot and distant lights irradiance on a surface that faces them.
+    /// Radiance towards the receiver; for point, spot and distant lights irradiance on a surface
+    /// that faces them.
     pub radiance: Vec3,
     /// Density per unit solid angle at the receiver, given the light; 1 where `delta`.
     pub pdf: f32,
@@ -103,7 +105,8 @@ struct Light {
     radiance: Color,
     scale: f32,
     two_sided: bool,
-    /// Of its surface, where it is not 1: what a ray that meets the surface passes through, its points do not send.
+    /// Of its surface, where it is not 1: what a ray that meets the surface passes through, its
+    /// points do not send.
     coverage: Option<Scalar>,
     /// Texture coordinates of a triangle's corners, where its emission or coverage is textured.
     uvs: [Vec2; 3],
@@ -138,7 +141,8 @@ pub struct Lights {
 }
 
 impl Lights {
-    /// The lights of a scene with fixed transforms. `bounds` is the world's bounding box, from which light at infinity gets its power.
+    /// The lights of a scene with fixed transforms. `bounds` is the world's bounding box, from
+    /// which light at infinity gets its power.
     #[must_use]
     pub fn build(scene: &Scene, bounds: [Vec3; 2]) -> Self {
         let mut lights = Self::default();
@@ -166,8 +170,9 @@ impl Lights {
                         uvs,
                         key: [instance.key, (number as u64) << 32 | element],
                     });
-                    // The accelerator drops what lies beyond. `extent` is at most five times the farthest coordinate: what lies between
-                    // is met by BSDF samples alone. NaN compares false.
+                    // The accelerator drops what lies beyond. `extent` is at most five times the
+                    // farthest coordinate: what lies between is met by BSDF samples alone. NaN
+                    // compares false.
                     let within = extent(surface).cmple(Vec3::splat(MAX_COORDINATE)).all();
                     let area = if within { f64::from(area(surface)) } else { 0.0 };
                     powers.push(sides * std::f64::consts::PI * area * f64::from(mean));
@@ -183,7 +188,8 @@ impl Lights {
                                 triangle_orientation(mesh, element, shape.reverse_orientation)
                                     * if mirrored { -1.0 } else { 1.0 };
                             let (edge1, edge2) = (b - a, c - a);
-                            // The square of an area leaves f32 for edges beyond 4 · 10⁹ or below 10⁻¹¹.
+                            // The square of an area leaves f32 for edges beyond 4 · 10⁹ or below
+                            // 10⁻¹¹.
                             let cross = edge1.as_dvec3().cross(edge2.as_dvec3());
                             let surface = Surface::Triangle {
                                 corner: a,
@@ -323,7 +329,8 @@ impl Lights {
         self.first_of_shape.iter().copied().filter(|first| *first != NO_LIGHT).collect()
     }
 
-    /// The light that a surface element is, or [`NO_LIGHT`]. `shape` is the running number, `element` the triangle in its mesh.
+    /// The light that a surface element is, or [`NO_LIGHT`]. `shape` is the running number,
+    /// `element` the triangle in its mesh.
     #[inline]
     #[must_use]
     pub fn of_surface(&self, shape: u32, element: u32) -> u32 {
@@ -339,7 +346,8 @@ impl Lights {
         self.environments.iter().map(|(light, environment)| (*light, environment))
     }
 
-    /// Emitted radiance of a surface light at texture coordinates `uv`, seen from where `cos_theta` is the cosine to its geometric normal.
+    /// Emitted radiance of a surface light at texture coordinates `uv`, seen from where `cos_theta`
+    /// is the cosine to its geometric normal.
     #[inline]
     #[must_use]
     pub fn emitted(&self, scene: &Scene, light: u32, uv: Vec2, cos_theta: f32) -> Vec3 {
@@ -351,8 +359,9 @@ impl Lights {
         }
     }
 
-    /// Density per unit solid angle at `from` with which [`Lights::sample_towards`] would draw the surface point `at` of `light`, the choice of
-    /// the light left out. `cos_theta` is the cosine at the light's geometric normal.
+    /// Density per unit solid angle at `from` with which [`Lights::sample_towards`] would draw the
+    /// surface point `at` of `light`, the choice of the light left out. `cos_theta` is the cosine
+    /// at the light's geometric normal.
     #[inline]
     #[must_use]
     pub fn pdf_towards(&self, light: u32, from: Vec3, at: Vec3, cos_theta: f32) -> f32 {
@@ -381,8 +390,9 @@ fn mix_uvs(uvs: [Vec2; 3], b: Vec3) -> Vec2 {
     uvs[0] * b.x + uvs[1] * b.y + uvs[2] * b.z
 }
 
-/// Mean luminance of the emission over a triangle of texture space. Half of it is the texture's mean over the unit square, so that bright
-/// texels between the probes never leave a light without probability.
+/// Mean luminance of the emission over a triangle of texture space. Half of it is the texture's
+/// mean over the unit square, so that bright texels between the probes never leave a light without
+/// probability.
 fn mean_emission(scene: &Scene, emission: &Emission, uvs: [Vec2; 3]) -> f32 {
     let at = |uv| luminance(scene.color(emission.radiance, uv));
     let mean = match emission.radiance {
@@ -435,13 +445,15 @@ fn per_solid_angle(area: f32, squared_distance: f32, cos_theta: f32) -> f32 {
     squared_distance / (area * cos_theta.abs())
 }
 
-/// Whether a receiver samples the sphere by the cone it fills. From the surface and inside, area sampling is exact and finite.
+/// Whether a receiver samples the sphere by the cone it fills. From the surface and inside, area
+/// sampling is exact and finite.
 #[inline]
 fn outside_sphere(from: Vec3, center: Vec3, radius: f32) -> bool {
     (from - center).length_squared() > radius * radius * (1.0 + 16.0 * f32::EPSILON)
 }
 
-/// 1 − cos of the half angle of the cone that a sphere fills: sin² / (1 + cos), stable for small ones.
+/// 1 − cos of the half angle of the cone that a sphere fills: sin² / (1 + cos), stable for small
+/// ones.
 #[inline]
 fn one_minus_cos_cone(from: Vec3, center: Vec3, radius: f32) -> f32 {
     let sin2 = radius * radius / (center - from).length_squared();
@@ -455,7 +467,8 @@ fn sample_sphere_cone(from: Vec3, center: Vec3, radius: f32, u: Vec2) -> Option<
     let squared = to_center.length_squared();
     let frame = Frame::from_normal(to_center / squared.sqrt());
     let local = warp::sample_uniform_cone(one_minus_cos_cone(from, center, radius), u);
-    // The angle at the sphere's centre between the receiver and the point: α = asin(sin θ / sin θ_max) − θ.
+    // The angle at the sphere's centre between the receiver and the point: α = asin(sin θ / sin
+    // θ_max) − θ.
     let sin2_theta = local.x * local.x + local.y * local.y;
     let sin_max = radius / squared.sqrt();
     let ratio2 = sin2_theta / (sin_max * sin_max);
@@ -469,8 +482,9 @@ fn sample_sphere_cone(from: Vec3, center: Vec3, radius: f32, u: Vec2) -> Option<
 }
 
 impl Light {
-    /// Centre and radius of a sphere that `from` sees from outside, so that points are drawn on the cap that faces it, in the cone it fills.
-    /// `None` where points are drawn by area: on other shapes, from inside, and where the far cap's inside shines through holes in the near one.
+    /// Centre and radius of a sphere that `from` sees from outside, so that points are drawn on the
+    /// cap that faces it, in the cone it fills. `None` where points are drawn by area: on other
+    /// shapes, from inside, and where the far cap's inside shines through holes in the near one.
     #[inline]
     fn cap(&self, from: Vec3) -> Option<(Vec3, f32)> {
         match self.surface {
@@ -490,7 +504,8 @@ impl Light {
         matches!(self.surface, Surface::Sphere { outward, .. } if self.two_sided || outward < 0.0)
     }
 
-    /// Texture coordinates of a point of a sphere light; anything where its emission is the same everywhere.
+    /// Texture coordinates of a point of a sphere light; anything where its emission is the same
+    /// everywhere.
     #[inline]
     fn uv_on_sphere(&self, normal: Vec3) -> Vec2 {
         match (self.radiance, self.coverage) {
@@ -505,13 +520,15 @@ impl Light {
         let radiance = scene.color(self.radiance, uv) * self.scale;
         match self.coverage {
             None => radiance,
-            // A texture may leave [0, 1]; a ray's coin takes what is above for 1 and what is below for 0.
+            // A texture may leave [0, 1]; a ray's coin takes what is above for 1 and what is below
+            // for 0.
             Some(alpha) => radiance * scene.scalar(alpha, uv).clamp(0.0, 1.0),
         }
     }
 }
 
-/// Texture coordinates of a point on a sphere: azimuth from +x and polar angle from −z, as the accelerator reports them.
+/// Texture coordinates of a point on a sphere: azimuth from +x and polar angle from −z, as the
+/// accelerator reports them.
 fn uv_on_sphere(normal: Vec3) -> Vec2 {
     let phi = normal.y.atan2(normal.x);
     let u = if phi < 0.0 { phi / (2.0 * PI) + 1.0 } else { phi / (2.0 * PI) };

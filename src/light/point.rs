@@ -1,4 +1,5 @@
-//! Light points as resampling wants them: what a light sends from a point, apart from what a receiver makes of it, in the measure of the light itself.
+//! Light points as resampling wants them: what a light sends from a point, apart from what a
+//! receiver makes of it, in the measure of the light itself.
 //!
 //! | light | measure | `geometry` |
 //! |---|---|---|
@@ -23,7 +24,8 @@ mod kind {
     pub(super) const ONE_SIDED: u32 = 0;
     /// From both sides of a surface.
     pub(super) const TWO_SIDED: u32 = 1;
-    /// From the inside of a sphere, or both sides: whoever is outside sees the cap that faces him, not the far one's inside.
+    /// From the inside of a sphere, or both sides: whoever is outside sees the cap that faces him,
+    /// not the far one's inside.
     pub(super) const HOLLOW: u32 = 2;
     /// In all directions from a point.
     pub(super) const POINT: u32 = 3;
@@ -54,7 +56,8 @@ pub struct Arrival {
     pub direction: Vec3,
     /// Radiance times geometry: with the BSDF's value, the integrand over light points.
     pub radiance: Vec3,
-    /// Density per solid angle over density in the light's measure; 0 for lights that no direction meets.
+    /// Density per solid angle over density in the light's measure; 0 for lights that no direction
+    /// meets.
     pub geometry: f32,
 }
 
@@ -109,7 +112,8 @@ impl EmitterPoint {
         self.position.into()
     }
 
-    /// A receiver at `from` as a point that is not at infinity sees it; `None` at the point itself, at an edge and behind.
+    /// A receiver at `from` as a point that is not at infinity sees it; `None` at the point itself,
+    /// at an edge and behind.
     #[inline]
     fn facing(&self, lights: &Lights, from: Vec3) -> Option<Facing> {
         let to_light = Vec3::from(self.position) - from;
@@ -316,15 +320,16 @@ impl Lights {
         }
     }
 
-    /// Density of a point that is drawn uniformly on its light (an environment: by its own density), the choice of the light included, in the
-    /// light's measure.
+    /// Density of a point that is drawn uniformly on its light (an environment: by its own
+    /// density), the choice of the light included, in the light's measure.
     #[inline]
     #[must_use]
     pub fn uniform_density(&self, point: LightPoint) -> f32 {
         self.choice_probability(point.light) / self.measure(point)
     }
 
-    /// What a unit of `uv` is worth in the light's measure: its area; 1 / density for environments; 1 for point, spot and distant lights.
+    /// What a unit of `uv` is worth in the light's measure: its area; 1 / density for environments;
+    /// 1 for point, spot and distant lights.
     #[inline]
     #[must_use]
     pub fn measure(&self, point: LightPoint) -> f32 {
@@ -338,8 +343,8 @@ impl Lights {
         }
     }
 
-    /// |∂T/∂y| of a light point that was `then` and keeps its place on the light, `now`: the ratio of areas, of densities for environments, whose
-    /// image may be another one.
+    /// |∂T/∂y| of a light point that was `then` and keeps its place on the light, `now`: the ratio
+    /// of areas, of densities for environments, whose image may be another one.
     #[inline]
     #[must_use]
     pub fn scaling(&self, now: LightPoint, before: &Self, then: LightPoint) -> f32 {
@@ -365,8 +370,9 @@ impl Lights {
         LightPoint { light, uv: place }
     }
 
-    /// A point of `light` for a receiver at `from`: spheres seen from outside are drawn in the cone they fill, all else uniformly. With its
-    /// density given the light, in the light's measure; its arrival at the receiver is what the density of a cone depends on.
+    /// A point of `light` for a receiver at `from`: spheres seen from outside are drawn in the cone
+    /// they fill, all else uniformly. With its density given the light, in the light's measure; its
+    /// arrival at the receiver is what the density of a cone depends on.
     #[inline]
     #[must_use]
     pub fn point_towards(&self, light: u32, from: Vec3, u: Vec2) -> LightPoint {
@@ -401,8 +407,8 @@ impl Lights {
         }
     }
 
-    /// A point of `light` for a receiver at `from`, drawn with the numbers `u`, as path tracing wants it: per solid angle. `None` where it can
-    /// send nothing there.
+    /// A point of `light` for a receiver at `from`, drawn with the numbers `u`, as path tracing
+    /// wants it: per solid angle. `None` where it can send nothing there.
     #[inline]
     #[must_use]
     pub fn sample_towards(
@@ -438,7 +444,8 @@ impl Lights {
         }
     }
 
-    /// Density of [`Lights::point_towards`] at a point whose arrival has `geometry`, the choice of the light included, in the light's measure.
+    /// Density of [`Lights::point_towards`] at a point whose arrival has `geometry`, the choice of
+    /// the light included, in the light's measure.
     #[inline]
     #[must_use]
     pub fn density_towards(&self, point: LightPoint, from: Vec3, geometry: f32) -> f32 {
@@ -452,7 +459,8 @@ impl Lights {
         }
     }
 
-    /// Where a shadow ray from `from` to a light point ends: off the light's surface, on the receiver's side; `None`: at infinity.
+    /// Where a shadow ray from `from` to a light point ends: off the light's surface, on the
+    /// receiver's side; `None`: at infinity.
     #[inline]
     #[must_use]
     pub fn shadow_end(&self, emitter: &EmitterPoint, from: Vec3) -> Option<Vec3> {
@@ -463,7 +471,8 @@ impl Lights {
             _ => {
                 let normal = Vec3::from(emitter.normal);
                 let side = 1.0_f32.copysign((from - at).dot(normal));
-                // Five roundings lie between a light's corners and the point; the shadow ray must end before the surface.
+                // Five roundings lie between a light's corners and the point; the shadow ray must
+                // end before the surface.
                 let surface = self.lights[emitter.light as usize].surface;
                 let error = gamma(8) * (at.abs() + extent(surface));
                 Some(offset_origin(at, normal * side, error))
@@ -492,7 +501,8 @@ impl Lights {
         LightPoint { light, uv }
     }
 
-    /// Whether a hollow sphere's point, whose stored normal has `cos` to the receiver, sends nothing there.
+    /// Whether a hollow sphere's point, whose stored normal has `cos` to the receiver, sends
+    /// nothing there.
     fn hollow_is_dark(&self, light: u32, from: Vec3, cos: f32) -> bool {
         let record = &self.lights[light as usize];
         match record.surface {
@@ -569,7 +579,8 @@ mod tests {
         scene
     }
 
-    /// Arrivals are what `sample_towards` reports, in the light's measure: radiance · geometry / density in one is radiance / pdf in the other.
+    /// Arrivals are what `sample_towards` reports, in the light's measure: radiance · geometry /
+    /// density in one is radiance / pdf in the other.
     #[test]
     fn arrivals_agree_with_light_sampling_per_solid_angle() {
         let scene = scene();

@@ -33,7 +33,8 @@ impl LightRemap {
         })
     }
 
-    /// Place by light, of the previous frame's table in the current one and back; [`NO_LIGHT`] where there is none.
+    /// Place by light, of the previous frame's table in the current one and back; [`NO_LIGHT`]
+    /// where there is none.
     #[cfg(feature = "gpu")]
     pub(crate) fn tables(&self) -> (&[u32], &[u32]) {
         (&self.to_current, &self.to_previous)

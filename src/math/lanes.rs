@@ -1,7 +1,7 @@
 //! Eight numbers side by side, for arithmetic that vector instructions do at once.
 //!
-//! Every operation is the scalar one, lane by lane: bits do not depend on how wide the vectors are. Compiled for the target's base set; inside of
-//! `pulp`'s dispatch for what the CPU has.
+//! Every operation is the scalar one, lane by lane: bits do not depend on how wide the vectors are.
+//! Compiled for the target's base set; inside of `pulp`'s dispatch for what the CPU has.
 
 use std::array::from_fn;
 use std::ops::{Add, Div, Mul, Sub};

@@ -30,7 +30,8 @@ pub(crate) fn luminances(rgb: Lanes3) -> Lanes {
     rgb.dot_with(LUMINANCE)
 }
 
-/// `n ε / (1 − n ε)` with ε = 2⁻²⁴: the relative error of n rounded operations stays below it (Higham 2002, lemma 3.1).
+/// `n ε / (1 − n ε)` with ε = 2⁻²⁴: the relative error of n rounded operations stays below it
+/// (Higham 2002, lemma 3.1).
 #[inline]
 #[must_use]
 pub const fn gamma(n: u32) -> f32 {
@@ -38,7 +39,8 @@ pub const fn gamma(n: u32) -> f32 {
     nu / (1.0 - nu)
 }
 
-/// `(a c) − (b d)` to within 1.5 ulp, without catastrophic cancellation (Kahan; Jeannerod et al. 2013).
+/// `(a c) − (b d)` to within 1.5 ulp, without catastrophic cancellation (Kahan; Jeannerod et al.
+/// 2013).
 #[inline]
 #[must_use]
 pub fn difference_of_products(a: f32, c: f32, b: f32, d: f32) -> f32 {
@@ -58,7 +60,8 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// A frame around a unit normal, continuous except at `n_z` = −0 (Duff et al. 2017, listing 3): no branch, error below 2·10⁻⁷.
+    /// A frame around a unit normal, continuous except at `n_z` = −0 (Duff et al. 2017, listing 3):
+    /// no branch, error below 2·10⁻⁷.
     #[inline]
     #[must_use]
     pub fn from_normal(n: Vec3) -> Self {
@@ -72,7 +75,8 @@ impl Frame {
         }
     }
 
-    /// A frame around unit `normal` whose +x is `tangent` made orthogonal; falls back to any frame where they are parallel.
+    /// A frame around unit `normal` whose +x is `tangent` made orthogonal; falls back to any frame
+    /// where they are parallel.
     #[inline]
     #[must_use]
     pub fn from_normal_and_tangent(normal: Vec3, tangent: Vec3) -> Self {
@@ -108,8 +112,9 @@ impl Frame {
     }
 }
 
-/// Moves `p` along unit `n`, out of the box `p ± error`, and at least one unit in the last place further in every component, so that rounding
-/// never brings it back (Pharr, Jakob, Humphreys 2023, section 6.8.6). `n` must point to the side the ray leaves to.
+/// Moves `p` along unit `n`, out of the box `p ± error`, and at least one unit in the last place
+/// further in every component, so that rounding never brings it back (Pharr, Jakob, Humphreys 2023,
+/// section 6.8.6). `n` must point to the side the ray leaves to.
 #[inline]
 #[must_use]
 pub fn offset_origin(p: Vec3, n: Vec3, error: Vec3) -> Vec3 {

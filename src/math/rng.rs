@@ -1,9 +1,11 @@
-//! Random numbers by purpose: counter-based, so that a draw added to one step shifts no other step's numbers.
+//! Random numbers by purpose: counter-based, so that a draw added to one step shifts no other
+//! step's numbers.
 //!
 //! Two kinds are kept apart:
 //!
-//! - A **path seed** (`u64`) makes a path's integrand a function of its numbers. All draws along the path are random access:
-//!   [`draw4`]`(seed, vertex, block)`. Blocks per vertex are fixed, so consumption never depends on a branch:
+//! - A **path seed** (`u64`) makes a path's integrand a function of its numbers. All draws along
+//!   the path are random access: [`draw4`]`(seed, vertex, block)`. Blocks per vertex are fixed, so
+//!   consumption never depends on a branch:
 //!
 //!   | block | numbers |
 //!   |---|---|
@@ -12,10 +14,11 @@
 //!   | [`BLOCK_ROULETTE`] | roulette, three spare; never replayed |
 //!   | [`BLOCK_LIGHTS`] + i | light u, light v, two spare, of light i where all are sampled |
 //!
-//! - Everything else (jitter, selection, neighbours, mutation, tile masks) draws from [`Stream`]s keyed by
-//!   (run, pixel or tile, frame, purpose, round), never from a path seed.
+//! - Everything else (jitter, selection, neighbours, mutation, tile masks) draws from [`Stream`]s
+//!   keyed by (run, pixel or tile, frame, purpose, round), never from a path seed.
 //!
-//! The generator is pcg4d (Jarzynski and Olano 2020, *Hash Functions for GPU Rendering*, JCGT 9(3)): bit-equal in WGSL.
+//! The generator is pcg4d (Jarzynski and Olano 2020, *Hash Functions for GPU Rendering*, JCGT
+//! 9(3)): bit-equal in WGSL.
 
 /// Block of [`draw4`] with the lobe and the direction of a scattering event.
 pub const BLOCK_SCATTER: u32 = 0;
@@ -56,7 +59,8 @@ pub fn unit_float(word: u32) -> f32 {
     (word >> 8) as f32 * (1.0 / 16_777_216.0)
 }
 
-/// Four words of a path seed at a vertex (from 0 at the primary hit) and a block; pure, so any draw can be replayed.
+/// Four words of a path seed at a vertex (from 0 at the primary hit) and a block; pure, so any draw
+/// can be replayed.
 #[inline]
 #[must_use]
 pub fn draw4(seed: u64, vertex: u32, block: u32) -> [u32; 4] {
@@ -89,10 +93,12 @@ pub enum Purpose {
     Effort = 10,
 }
 
-/// A 64-bit hash of (run, cell, frame, purpose, round), where a cell is a pixel, tile or item number.
+/// A 64-bit hash of (run, cell, frame, purpose, round), where a cell is a pixel, tile or item
+/// number.
 ///
-/// Two rounds of [`pcg4d`] for run, cell and frame, so that every input bit reaches every output bit; one for purpose and round, which are
-/// small. Run, cell and frame are distinct in the first round's 128-bit state.
+/// Two rounds of [`pcg4d`] for run, cell and frame, so that every input bit reaches every output
+/// bit; one for purpose and round, which are small. Run, cell and frame are distinct in the first
+/// round's 128-bit state.
 #[inline]
 #[must_use]
 pub fn stream_key(run: u64, cell: u32, frame: u32, purpose: Purpose, round: u32) -> u64 {
@@ -105,14 +111,16 @@ fn second_round(a: [u32; 4], purpose: Purpose, round: u32) -> u64 {
     u64::from(b[0]) | u64::from(b[1]) << 32
 }
 
-/// The path seed of candidate number `candidate` of a pixel in a frame, of the white (independent) seed field.
+/// The path seed of candidate number `candidate` of a pixel in a frame, of the white (independent)
+/// seed field.
 #[inline]
 #[must_use]
 pub fn path_seed(run: u64, pixel: u32, frame: u32, candidate: u32) -> u64 {
     stream_key(run, pixel, frame, Purpose::PathSeed, candidate)
 }
 
-/// The path seeds of one pixel in one frame: [`path_seed`] with the part that all candidates share computed once.
+/// The path seeds of one pixel in one frame: [`path_seed`] with the part that all candidates share
+/// computed once.
 #[derive(Clone, Copy, Debug)]
 pub struct PathSeeds([u32; 4]);
 
@@ -132,10 +140,11 @@ impl PathSeeds {
     }
 }
 
-/// The three draws that the resampling core asks for. An enumerating source forks on each (see `stats`), so expectations can
-/// be computed exactly.
+/// The three draws that the resampling core asks for. An enumerating source forks on each (see
+/// `stats`), so expectations can be computed exactly.
 pub trait RandomSource {
-    /// True with probability `weight / total`. `0 <= weight <= total`, `total` finite; `total == 0` is false.
+    /// True with probability `weight / total`. `0 <= weight <= total`, `total` finite; `total == 0`
+    /// is false.
     fn choose(&mut self, weight: f32, total: f32) -> bool;
     /// Uniform in `0..n`; `n > 0`.
     fn index(&mut self, n: u32) -> u32;
@@ -171,7 +180,8 @@ impl Stream {
     #[inline]
     pub fn word(&mut self) -> u32 {
         if self.left == 0 {
-            // The block index 0xA5 keeps streams and path draws apart even where a key equals a seed.
+            // The block index 0xA5 keeps streams and path draws apart even where a key equals a
+            // seed.
             self.words = pcg4d([self.key as u32, (self.key >> 32) as u32, self.counter, 0xA5]);
             self.counter = self.counter.wrapping_add(1);
             self.left = 4;
@@ -184,7 +194,8 @@ impl Stream {
 impl RandomSource for Stream {
     #[inline]
     fn choose(&mut self, weight: f32, total: f32) -> bool {
-        // The whole word: with 24 bits a candidate of probability 1e-8 would be taken six times too often.
+        // The whole word: with 24 bits a candidate of probability 1e-8 would be taken six times too
+        // often.
         let u = f64::from(self.word()) * (1.0 / 4_294_967_296.0);
         u * f64::from(total) < f64::from(weight)
     }
@@ -245,8 +256,9 @@ mod tests {
 
     #[test]
     fn one_flipped_input_bit_flips_half_of_the_output_bits() {
-        // A coin gives 32 ± 0.06 on average over 64 bases and 112 bits. `round` counts, so its low half is what matters: it passes through
-        // one round of the hash only, in which high bits do not reach low ones.
+        // A coin gives 32 ± 0.06 on average over 64 bases and 112 bits. `round` counts, so its low
+        // half is what matters: it passes through one round of the hash only, in which high bits do
+        // not reach low ones.
         let mut flipped = 0u64;
         let mut n = 0u64;
         for base in 0..64u64 {

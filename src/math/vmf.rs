@@ -1,4 +1,5 @@
-//! The von Mises–Fisher distribution on the sphere, V(ω) = κ/(4π sinh κ) e^{κ μ·ω}, for 0 ≤ κ ≤ 10⁸ in single precision.
+//! The von Mises–Fisher distribution on the sphere, V(ω) = κ/(4π sinh κ) e^{κ μ·ω}, for 0 ≤ κ ≤ 10⁸
+//! in single precision.
 //!
 //! | symbol | meaning |
 //! |---|---|
@@ -6,10 +7,12 @@
 //! | κ | concentration; 0 is uniform |
 //! | r | mean cosine E[μ·ω] = coth κ − 1/κ |
 //!
-//! The exponent is written with the chord, κ (μ·ω − 1) = −½ κ ‖ω − μ‖², because a dot product of nearly equal vectors loses what κ
-//! magnifies; the normalisation with expm1, which has neither overflow nor a limit to switch to.
+//! The exponent is written with the chord, κ (μ·ω − 1) = −½ κ ‖ω − μ‖², because a dot product of
+//! nearly equal vectors loses what κ magnifies; the normalisation with expm1, which has neither
+//! overflow nor a limit to switch to.
 //!
-//! Papers: Jakob 2012, *Numerically stable sampling of the von Mises Fisher distribution on S²*; Banerjee et al. 2005 (κ from r).
+//! Papers: Jakob 2012, *Numerically stable sampling of the von Mises Fisher distribution on S²*;
+//! Banerjee et al. 2005 (κ from r).
 
 use std::f32::consts::TAU;
 
@@ -32,7 +35,8 @@ fn peak(kappa: f32) -> f32 {
     ratio * (0.5 / TAU)
 }
 
-/// V at a direction whose squared distance from μ is `chord_squared` = ‖ω − μ‖², per solid angle. `kappa` in [0, 10⁸].
+/// V at a direction whose squared distance from μ is `chord_squared` = ‖ω − μ‖², per solid angle.
+/// `kappa` in [0, 10⁸].
 #[inline]
 #[must_use]
 pub fn vmf_pdf_chord(kappa: f32, chord_squared: f32) -> f32 {
@@ -53,14 +57,16 @@ pub fn vmf_log_pdf(kappa: f32, mu: Vec3, direction: Vec3) -> f32 {
     peak(kappa).ln() - 0.5 * kappa * direction.distance_squared(mu)
 }
 
-/// A direction around +z with density V for μ = +z: `u.x` is the azimuth in turns, `u.y` the distribution function of 1 − z.
+/// A direction around +z with density V for μ = +z: `u.x` is the azimuth in turns, `u.y` the
+/// distribution function of 1 − z.
 ///
 /// x and y keep their precision for lobes so narrow that z rounds to 1.
 #[inline]
 #[must_use]
 pub fn sample_vmf(kappa: f32, u: Vec2) -> Vec3 {
     let below = if kappa > 3e-8 {
-        // The distribution function v at the centre of u's cell, and t = 1 − v, both exact where they are small: no ln 0.
+        // The distribution function v at the centre of u's cell, and t = 1 − v, both exact where
+        // they are small: no ln 0.
         let v = u.y + HALF_STEP;
         let t = (1.0 - u.y) - HALF_STEP;
         let missing = (-2.0 * kappa).exp_m1();
@@ -110,9 +116,11 @@ fn mean_cosine(kappa: f64) -> f64 {
     1.0 + 2.0 / (2.0 * kappa).exp_m1() - 1.0 / kappa
 }
 
-/// κ ≈ (3r − r³)/(1 − r²) from 1 − r (Banerjee et al. 2005): exact at both ends, at most 5 % too large between, cheap.
+/// κ ≈ (3r − r³)/(1 − r²) from 1 − r (Banerjee et al. 2005): exact at both ends, at most 5 % too
+/// large between, cheap.
 ///
-/// Takes 1 − r, not r: near 1 a rounded r has no digits left for κ. Clamped to [0, [`MAX_KAPPA`]]; NaN gives 0.
+/// Takes 1 − r, not r: near 1 a rounded r has no digits left for κ. Clamped to [0, [`MAX_KAPPA`]];
+/// NaN gives 0.
 #[inline]
 #[must_use]
 pub fn approximate_vmf_kappa(one_minus_r: f32) -> f32 {
@@ -129,8 +137,8 @@ pub fn approximate_vmf_kappa(one_minus_r: f32) -> f32 {
     }
 }
 
-/// The κ whose mean cosine is r, from 1 − r: inverse of [`vmf_one_minus_mean_cosine`], by Newton steps from
-/// [`approximate_vmf_kappa`]. Clamped to [0, [`MAX_KAPPA`]].
+/// The κ whose mean cosine is r, from 1 − r: inverse of [`vmf_one_minus_mean_cosine`], by Newton
+/// steps from [`approximate_vmf_kappa`]. Clamped to [0, [`MAX_KAPPA`]].
 #[must_use]
 pub fn vmf_kappa(one_minus_r: f32) -> f32 {
     let mut kappa = f64::from(approximate_vmf_kappa(one_minus_r));
@@ -150,8 +158,8 @@ pub fn vmf_kappa(one_minus_r: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    //! Statistical tests: fixed seeds, α = 10⁻⁶; 5·10⁵ samples on 20 × 20 cells show a relative density error of 2.3 % (rms) with
-    //! probability 0.99.
+    //! Statistical tests: fixed seeds, α = 10⁻⁶; 5·10⁵ samples on 20 × 20 cells show a relative
+    //! density error of 2.3 % (rms) with probability 0.99.
 
     use super::*;
     use crate::math::rng::{RandomSource, Stream};

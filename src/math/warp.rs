@@ -1,4 +1,5 @@
-//! Maps from the unit square to disks, directions and triangles, each with its density and its inverse.
+//! Maps from the unit square to disks, directions and triangles, each with its density and its
+//! inverse.
 //!
 //! | symbol | meaning |
 //! |---|---|
@@ -6,16 +7,19 @@
 //! | z | the axis of hemispheres and cones, local +z |
 //! | 1 − cos θ | how cones measure their opening: stays exact where cos θ rounds to 1 |
 //!
-//! Densities are per area of the unit disk, per solid angle, or per area of the triangle with unit area. Azimuths and the concentric map
-//! use [`sin_cos_turn`], polynomials without a call into the system's library, so that results are the same on every platform.
+//! Densities are per area of the unit disk, per solid angle, or per area of the triangle with unit
+//! area. Azimuths and the concentric map use [`sin_cos_turn`], polynomials without a call into the
+//! system's library, so that results are the same on every platform.
 //!
-//! Papers: Shirley and Chiu 1997 (concentric disk); Heitz 2019, *A Low-Distortion Map Between Triangle and Square*.
+//! Papers: Shirley and Chiu 1997 (concentric disk); Heitz 2019, *A Low-Distortion Map Between
+//! Triangle and Square*.
 
 use std::f32::consts::{FRAC_1_PI, FRAC_PI_4, TAU};
 
 use glam::{Vec2, Vec3};
 
-/// Half of the spacing of [`super::rng::unit_float`]: moves a draw to the centre of its cell, so that 0 and 1 never occur.
+/// Half of the spacing of [`super::rng::unit_float`]: moves a draw to the centre of its cell, so
+/// that 0 and 1 never occur.
 const HALF_STEP: f32 = 0.5 / 16_777_216.0;
 
 /// 1 − [`HALF_STEP`] · 2 rounded nowhere: 2u − this lies in (−1, 1) for u in [0, 1).
@@ -24,7 +28,8 @@ const CENTRED_ONE: f32 = 1.0 - 2.0 * HALF_STEP;
 /// Sine and cosine of x in [−π/4, π/4], within 1.2·10⁻⁷.
 #[inline]
 fn sin_cos_octant(x: f32) -> (f32, f32) {
-    // Taylor: the first dropped terms are x⁹/9! < 3.2e-7 · x and x¹⁰/10! < 2.5e-8; the sine keeps x⁹.
+    // Taylor: the first dropped terms are x⁹/9! < 3.2e-7 · x and x¹⁰/10! < 2.5e-8; the sine keeps
+    // x⁹.
     let y = x * x;
     let sin =
         x + x * y * (-1.0 / 6.0 + y * (1.0 / 120.0 + y * (-1.0 / 5_040.0 + y * (1.0 / 362_880.0))));
@@ -68,7 +73,8 @@ fn direction(turn: f32, one_minus_z: f32) -> Vec3 {
     Vec3::new(sin_theta * c, sin_theta * s, 1.0 - one_minus_z)
 }
 
-/// Uniform on the unit disk, by concentric squares (Shirley and Chiu 1997). Returns the point and its signed radius.
+/// Uniform on the unit disk, by concentric squares (Shirley and Chiu 1997). Returns the point and
+/// its signed radius.
 #[inline]
 fn concentric(u: Vec2) -> (Vec2, f32) {
     let a = 2.0 * u.x - CENTRED_ONE;
@@ -82,7 +88,8 @@ fn concentric(u: Vec2) -> (Vec2, f32) {
     (point, r)
 }
 
-/// A point of the unit disk with density [`disk_pdf`]; neighbours in `u` stay neighbours (Shirley and Chiu 1997).
+/// A point of the unit disk with density [`disk_pdf`]; neighbours in `u` stay neighbours (Shirley
+/// and Chiu 1997).
 #[inline]
 #[must_use]
 pub fn sample_disk(u: Vec2) -> Vec2 {
@@ -183,7 +190,8 @@ pub fn invert_uniform_sphere(d: Vec3) -> Vec2 {
     Vec2::new((0.5 * one_minus_z(d)).min(CENTRED_ONE), turn_of(d.x, d.y))
 }
 
-/// A direction of the cone around +z whose edge has 1 − cos θ = `one_minus_cos_max`, in (0, 2], with density [`uniform_cone_pdf`].
+/// A direction of the cone around +z whose edge has 1 − cos θ = `one_minus_cos_max`, in (0, 2],
+/// with density [`uniform_cone_pdf`].
 ///
 /// The cosine of a cone narrower than 10⁻⁴ rounds to 1; x and y still have full precision.
 #[inline]
@@ -238,8 +246,9 @@ pub fn invert_uniform_triangle(b: Vec3) -> Vec2 {
 
 #[cfg(test)]
 mod tests {
-    //! Statistical tests: fixed seeds, α = 10⁻⁶; 5·10⁵ samples on 20 × 20 cells show a relative density error of 2.3 % (rms) with
-    //! probability 0.99, and 0.1 % of the integral. Each has a control.
+    //! Statistical tests: fixed seeds, α = 10⁻⁶; 5·10⁵ samples on 20 × 20 cells show a relative
+    //! density error of 2.3 % (rms) with probability 0.99, and 0.1 % of the integral. Each has a
+    //! control.
 
     use super::*;
     use crate::math::rng::{RandomSource, Stream};
@@ -368,7 +377,8 @@ mod tests {
 
     #[test]
     fn stable_cone_matches_its_opening() {
-        // All of a cone of 10⁻⁶ rad is inside of it, and its mean of sin²/(2 (1 − cos θ_max)) is 1/2.
+        // All of a cone of 10⁻⁶ rad is inside of it, and its mean of sin²/(2 (1 − cos θ_max)) is
+        // 1/2.
         let edge = 5e-13;
         let mut next = draws(5);
         let n = 100_000;

@@ -1,28 +1,29 @@
-//! Covariance between neighbouring pixels: the blotches that reuse leaves, invisible to per-pixel errors.
+//! Covariance between neighbouring pixels: the blotches that reuse leaves, invisible to per-pixel
+//! errors.
 
 use super::{Picture, check_len, check_like};
 use crate::error::{Error, Result};
 use crate::math::luminance;
 use crate::stats::{Estimate, Moments};
 
-/// Fewest restarts of [`covariance_r8`]: with 10 its coefficient of variation is twice that of 30 (6 % against 3 % on a 96²
-/// field).
+/// Fewest restarts of [`covariance_r8`]: with 10 its coefficient of variation is twice that of 30
+/// (6 % against 3 % on a 96² field).
 pub const COVARIANCE_RESTARTS: usize = 30;
 
 /// Half side of the box.
 const RADIUS: usize = 8;
 
-/// Covariance of a pixel's luminance with its neighbourhood over K restarts, relative to the reference's squared mean luminance Ȳ
-/// (Fickel 2023, section 6.2; Sawhney et al. 2022):
+/// Covariance of a pixel's luminance with its neighbourhood over K restarts, relative to the
+/// reference's squared mean luminance Ȳ (Fickel 2023, section 6.2; Sawhney et al. 2022):
 ///
 /// c = 1/n Σᵢ 1/|Bᵢ| Σ_{j ∈ Bᵢ} cᵢⱼ / Ȳ², cᵢⱼ = 1/(K−1) Σₘ (Yₘᵢ − Ȳᵢ)(Yₘⱼ − Ȳⱼ),
 ///
-/// where Bᵢ is the 17 × 17 box around i, cut at borders and mask, with i itself. So independent noise of variance v gives v/289,
-/// not 0. Dividing by Ȳ², which the thesis leaves open, makes it independent of exposure. Boxes are read from summed-area tables:
-/// the time is O(K n).
+/// where Bᵢ is the 17 × 17 box around i, cut at borders and mask, with i itself. So independent
+/// noise of variance v gives v/289, not 0. Dividing by Ȳ², which the thesis leaves open, makes it
+/// independent of exposure. Boxes are read from summed-area tables: the time is O(K n).
 ///
-/// The estimate's variance is that over restarts, for [`Estimate::interval`]. A pixel that is not finite in any restart is left
-/// out, as if masked.
+/// The estimate's variance is that over restarts, for [`Estimate::interval`]. A pixel that is not
+/// finite in any restart is left out, as if masked.
 ///
 /// # Errors
 ///

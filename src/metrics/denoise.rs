@@ -12,11 +12,13 @@ pub struct Guides<'a> {
     pub albedo: &'a [Vec3],
     /// Unit shading normal.
     pub normal: &'a [Vec3],
-    /// Distance to the camera, in any unit; not positive or not finite where nothing is hit: such pixels stay as they are.
+    /// Distance to the camera, in any unit; not positive or not finite where nothing is hit: such
+    /// pixels stay as they are.
     pub depth: &'a [f32],
 }
 
-/// Iterations; the taps of iteration i are 2^i pixels apart, so the filter reaches 2 (1 + 2 + 4 + 8) = 30 pixels.
+/// Iterations; the taps of iteration i are 2^i pixels apart, so the filter reaches 2 (1 + 2 +
+/// 4 + 8) = 30 pixels.
 const ITERATIONS: u32 = 4;
 
 /// The one-dimensional B₃ spline.
@@ -28,14 +30,17 @@ const NORMAL_EXPONENT: i32 = 128;
 /// Relative difference of depth at which the weight falls to 1/e.
 const DEPTH_SCALE: f32 = 0.1;
 
-/// Albedo below which a channel is not divided out: dividing by less would raise noise that the product hides again.
+/// Albedo below which a channel is not divided out: dividing by less would raise noise that the
+/// product hides again.
 const MIN_ALBEDO: f32 = 0.01;
 
-/// A joint bilateral filter: the edge-avoiding à-trous wavelet of Dammertz et al. (2010) on radiance divided by albedo.
+/// A joint bilateral filter: the edge-avoiding à-trous wavelet of Dammertz et al. (2010) on
+/// radiance divided by albedo.
 ///
-/// Weights are a B₃ spline times cos¹²⁸ between normals times exp(−(Δz / 0.1 z)²). Unlike Dammertz' they do not look at the
-/// colour: the filter is linear in the picture and the same for all techniques, so it measures noise and nothing else; shadows
-/// blur. Pixels where `counts` is false, that are not finite or hit nothing, give to no other.
+/// Weights are a B₃ spline times cos¹²⁸ between normals times exp(−(Δz / 0.1 z)²). Unlike Dammertz'
+/// they do not look at the colour: the filter is linear in the picture and the same for all
+/// techniques, so it measures noise and nothing else; shadows blur. Pixels where `counts` is false,
+/// that are not finite or hit nothing, give to no other.
 ///
 /// # Errors
 ///

@@ -1,6 +1,6 @@
-//! LDR-FLIP on exposed linear RGB in [0, 1] (Andersson, Nilsson, Akenine-Möller, Oskarsson, Åström, Fairchild 2020, *FLIP: A
-//! Difference Evaluator for Alternating Images*, HPG). Our own writing of the paper's equations; agrees with the authors'
-//! `flip-evaluator` to f32 rounding.
+//! LDR-FLIP on exposed linear RGB in [0, 1] (Andersson, Nilsson, Akenine-Möller, Oskarsson, Åström,
+//! Fairchild 2020, *FLIP: A Difference Evaluator for Alternating Images*, HPG). Our own writing of
+//! the paper's equations; agrees with the authors' `flip-evaluator` to f32 rounding.
 //!
 //! | step | what |
 //! |---|---|
@@ -13,7 +13,8 @@ use core::f64::consts::PI;
 /// Pixels per degree: a 0.7 m wide screen of 3840 pixels at 0.7 m.
 const PIXELS_PER_DEGREE: f64 = 3840.0 * PI / 180.0;
 
-/// (a, b) of the terms a √(π/b) exp(−π² x² / b) of the contrast sensitivity kernels, x in degrees (table 1 of the paper).
+/// (a, b) of the terms a √(π/b) exp(−π² x² / b) of the contrast sensitivity kernels, x in degrees
+/// (table 1 of the paper).
 const ACHROMATIC: &[(f64, f64)] = &[(1.0, 0.0047)];
 const RED_GREEN: &[(f64, f64)] = &[(1.0, 0.0053)];
 const BLUE_YELLOW: &[(f64, f64)] = &[(34.1, 0.04), (13.5, 0.025)];
@@ -204,7 +205,8 @@ fn inverse(m: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
 mod tests {
     use super::*;
 
-    /// Two synthetic pictures: a gradient with stripes, and the same with coloured dots, an offset and a shifted edge.
+    /// Two synthetic pictures: a gradient with stripes, and the same with coloured dots, an offset
+    /// and a shifted edge.
     fn pair(width: usize, height: usize) -> [Vec<[f64; 3]>; 2] {
         let reference = |x: usize, y: usize| {
             let stripe = if (x / 6).is_multiple_of(2) { 0.25 } else { 0.0 };
@@ -224,8 +226,8 @@ mod tests {
 
     #[test]
     fn agrees_with_the_authors_implementation() {
-        // flip-evaluator 1.7: evaluate(reference, picture, "LDR", inputsRGB=False, applyMagma=False) on the same pictures, in
-        // f32.
+        // flip-evaluator 1.7: evaluate(reference, picture, "LDR", inputsRGB=False,
+        // applyMagma=False) on the same pictures, in f32.
         let [picture, reference] = pair(48, 40);
         let map = error_map(48, &picture, &reference);
         let mean = map.iter().sum::<f64>() / map.len() as f64;

@@ -1,5 +1,5 @@
-//! How far a picture is from its reference. Quality only: whether a picture is *right* is [`crate::stats`]' question, for these
-//! errors fall when a picture gets darker.
+//! How far a picture is from its reference. Quality only: whether a picture is *right* is
+//! [`crate::stats`]' question, for these errors fall when a picture gets darker.
 //!
 //! | symbol | meaning |
 //! |---|---|
@@ -7,9 +7,10 @@
 //! | r̄ | mean of r over pixels and channels |
 //! | Y | Rec. 709 luminance |
 //!
-//! Every metric but `mse` is unchanged, bit for bit where only sums and quotients occur, if picture and reference are both scaled
-//! by a power of two. A mask is true where a pixel counts. Pixels that are not finite are counted by [`Comparison::not_finite`]
-//! and enter no metric, neither its sum nor its count; a report must show the count.
+//! Every metric but `mse` is unchanged, bit for bit where only sums and quotients occur, if picture
+//! and reference are both scaled by a power of two. A mask is true where a pixel counts. Pixels
+//! that are not finite are counted by [`Comparison::not_finite`] and enter no metric, neither its
+//! sum nor its count; a report must show the count.
 
 mod correlation;
 mod denoise;
@@ -123,7 +124,8 @@ impl<'a> Comparison<'a> {
         Ok(Self { picture, reference, counts, pixels, not_finite, reference_mean })
     }
 
-    /// Pixels within the mask whose value in the picture is not finite: any is a failure of its own.
+    /// Pixels within the mask whose value in the picture is not finite: any is a failure of its
+    /// own.
     #[must_use]
     pub const fn not_finite(&self) -> u64 {
         self.not_finite
@@ -170,14 +172,15 @@ impl<'a> Comparison<'a> {
         self.mean(|x, r| (x - r) * (x - r))
     }
 
-    /// Mean of (x − r)² / (r² + 10⁻² r̄²): relative, with a floor that follows the exposure. Dominated by fireflies.
+    /// Mean of (x − r)² / (r² + 10⁻² r̄²): relative, with a floor that follows the exposure.
+    /// Dominated by fireflies.
     #[must_use]
     pub fn relmse(&self) -> f64 {
         self.mean(self.relative_square())
     }
 
-    /// [`relmse`](Self::relmse) without the worst 0.1 % of the pixels (rounded down: none of fewer than 1000). The quotient of
-    /// both is an index of fireflies.
+    /// [`relmse`](Self::relmse) without the worst 0.1 % of the pixels (rounded down: none of fewer
+    /// than 1000). The quotient of both is an index of fireflies.
     #[must_use]
     pub fn relmse_trimmed(&self) -> f64 {
         let error = self.relative_square();
@@ -216,11 +219,12 @@ impl<'a> Comparison<'a> {
         }
     }
 
-    /// LDR-FLIP (Andersson et al. 2020), in [0, 1]: the difference seen when alternating between picture and reference at 67
-    /// pixels per degree, averaged over covered pixels.
+    /// LDR-FLIP (Andersson et al. 2020), in [0, 1]: the difference seen when alternating between
+    /// picture and reference at 67 pixels per degree, averaged over covered pixels.
     ///
-    /// Both are exposed so that the reference's median luminance becomes 0.18 (its mean where the median is 0), then clamped to
-    /// [0, 1]. Pixels that do not count are taken from the reference, so that their errors do not blur into others.
+    /// Both are exposed so that the reference's median luminance becomes 0.18 (its mean where the
+    /// median is 0), then clamped to [0, 1]. Pixels that do not count are taken from the reference,
+    /// so that their errors do not blur into others.
     #[must_use]
     pub fn flip(&self) -> f64 {
         let map = self.flip_map();
@@ -228,7 +232,8 @@ impl<'a> Comparison<'a> {
         if self.pixels == 0 { 0.0 } else { sum / self.pixels as f64 }
     }
 
-    /// The error of every pixel, of which [`flip`](Self::flip) is the mean; 0 where a pixel does not count but near others.
+    /// The error of every pixel, of which [`flip`](Self::flip) is the mean; 0 where a pixel does
+    /// not count but near others.
     #[must_use]
     pub fn flip_map(&self) -> Vec<f64> {
         let exposure = self.exposure();
@@ -260,9 +265,10 @@ impl<'a> Comparison<'a> {
         }
     }
 
-    /// The spectrum of the luminance error. With `deviation`, the standard deviation of every pixel's luminance over restarts
-    /// ([`crate::stats::Restarts::luminance_deviation`]), the error is divided by it first, so that a few noisy regions do not
-    /// speak for all; pixels of deviation 0 are left out.
+    /// The spectrum of the luminance error. With `deviation`, the standard deviation of every
+    /// pixel's luminance over restarts ([`crate::stats::Restarts::luminance_deviation`]), the error
+    /// is divided by it first, so that a few noisy regions do not speak for all; pixels of
+    /// deviation 0 are left out.
     ///
     /// # Errors
     ///
@@ -282,14 +288,15 @@ impl<'a> Comparison<'a> {
         Ok(Spectrum::of(self.picture.width as usize, self.picture.height as usize, &error))
     }
 
-    /// Share of the error's power below 1/16 cycle per pixel: [`Spectrum::low_frequency_share`] of the plain error.
+    /// Share of the error's power below 1/16 cycle per pixel: [`Spectrum::low_frequency_share`] of
+    /// the plain error.
     #[must_use]
     pub fn low_frequency_share(&self) -> f64 {
         self.plain_spectrum().low_frequency_share()
     }
 
-    /// Mean squared error after a Gaussian of 2.1 pixels, relative to white noise of the same `mse`: [`Spectrum::g`]`(2.1)` of
-    /// the plain error.
+    /// Mean squared error after a Gaussian of 2.1 pixels, relative to white noise of the same
+    /// `mse`: [`Spectrum::g`]`(2.1)` of the plain error.
     #[must_use]
     pub fn g_2_1(&self) -> f64 {
         self.plain_spectrum().g(2.1)
@@ -299,7 +306,8 @@ impl<'a> Comparison<'a> {
         self.spectrum(None).expect("no deviation, no size to be wrong")
     }
 
-    /// [`relmse`](Self::relmse) after [`denoise`]: what is left for the eye behind a denoiser, which correlated errors pass.
+    /// [`relmse`](Self::relmse) after [`denoise`]: what is left for the eye behind a denoiser,
+    /// which correlated errors pass.
     ///
     /// The reference is not filtered; blur counts as error, the same for every technique.
     ///

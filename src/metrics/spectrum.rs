@@ -4,9 +4,10 @@ use core::f64::consts::PI;
 
 /// Power spectrum of an error, such that white noise is 1 at every frequency whatever its variance.
 ///
-/// P(f) = |FFT(w (e − ē))|² / Σ w² (e − ē)², where w is a Hann window over the picture (it is no torus) and 0 where a pixel does
-/// not count, and ē the w-weighted mean: a bias is no noise. The picture is padded with zeros to powers of two, which only
-/// interpolates P. Frequencies are in cycles per pixel.
+/// P(f) = |FFT(w (e − ē))|² / Σ w² (e − ē)², where w is a Hann window over the picture (it is no
+/// torus) and 0 where a pixel does not count, and ē the w-weighted mean: a bias is no noise. The
+/// picture is padded with zeros to powers of two, which only interpolates P. Frequencies are in
+/// cycles per pixel.
 #[derive(Clone, Debug)]
 pub struct Spectrum {
     width: usize,
@@ -54,7 +55,8 @@ impl Spectrum {
         })
     }
 
-    /// Mean P over 0 < f < 1/`period`; 1 for white noise, below for blue. Periods of 32, 16 and 8 pixels tell methods apart.
+    /// Mean P over 0 < f < 1/`period`; 1 for white noise, below for blue. Periods of 32, 16 and 8
+    /// pixels tell methods apart.
     #[must_use]
     pub fn low_frequency(&self, period: f64) -> f64 {
         let (sum, count) = self
@@ -64,7 +66,8 @@ impl Spectrum {
         if count == 0 { 0.0 } else { sum / count as f64 }
     }
 
-    /// Share of the power at 0 < f < 1/16 in the whole: what survives a denoiser. White noise has π/256 = 1.2 %; 0 for no error.
+    /// Share of the power at 0 < f < 1/16 in the whole: what survives a denoiser. White noise has
+    /// π/256 = 1.2 %; 0 for no error.
     #[must_use]
     pub fn low_frequency_share(&self) -> f64 {
         let (mut low, mut all) = (0.0, 0.0);
@@ -75,8 +78,9 @@ impl Spectrum {
         if all == 0.0 { 0.0 } else { low / all }
     }
 
-    /// G(s) = Σ P g² / Σ g², g = exp(−2π² s² f²): the mean squared error after a Gaussian of `s` pixels, relative to white noise
-    /// of the same mean squared error. White is 1; a blue-noise mask is below 0.001 at s = 2.1; reuse with feedback is above 1.
+    /// G(s) = Σ P g² / Σ g², g = exp(−2π² s² f²): the mean squared error after a Gaussian of `s`
+    /// pixels, relative to white noise of the same mean squared error. White is 1; a blue-noise
+    /// mask is below 0.001 at s = 2.1; reuse with feedback is above 1.
     #[must_use]
     pub fn g(&self, s: f64) -> f64 {
         let (mut sum, mut weights) = (0.0, 0.0);
@@ -198,8 +202,8 @@ mod tests {
 
     #[test]
     fn white_noise_is_one_everywhere_red_above_and_blue_below() {
-        // 200 x 120 pixels: the band below 1/8 holds 1200 independent values, a Hann window halves it twice: 6 % deviation; 5
-        // sigma.
+        // 200 x 120 pixels: the band below 1/8 holds 1200 independent values, a Hann window halves
+        // it twice: 6 % deviation; 5 sigma.
         let (width, height) = (200, 120);
         let error = white(width, height, 2);
         let spectrum = Spectrum::of(width, height, &error);

@@ -1,4 +1,5 @@
-//! Paths from the camera: the walk that every technique without reuse is made of, and that others take their candidates from.
+//! Paths from the camera: the walk that every technique without reuse is made of, and that others
+//! take their candidates from.
 //!
 //! | here | meaning |
 //! |---|---|
@@ -7,7 +8,8 @@
 //! | `depth` | most segments a path may have |
 //! | p̂ ℓ, `p_b` | density per unit solid angle of light sampling and of BSDF sampling, choices included |
 //!
-//! Numbers come from [`crate::math::rng::draw4`] with the path's seed by (vertex, block), so none depends on an earlier branch.
+//! Numbers come from [`crate::math::rng::draw4`] with the path's seed by (vertex, block), so none
+//! depends on an earlier branch.
 
 use glam::Vec3;
 
@@ -40,7 +42,8 @@ pub struct Limits {
     pub roulette_after: u32,
 }
 
-/// Share of technique `a` by the power heuristic with exponent 2 (Veach 1997, eq. 9.13): a² / (a² + b²), for a > 0 and b ≥ 0.
+/// Share of technique `a` by the power heuristic with exponent 2 (Veach 1997, eq. 9.13): a² / (a² +
+/// b²), for a > 0 and b ≥ 0.
 #[inline]
 #[must_use]
 pub fn power_heuristic(a: f32, b: f32) -> f32 {
@@ -64,10 +67,11 @@ pub fn emitted(world: &World, point: &HitPoint, direction: Vec3) -> Vec3 {
     }
 }
 
-/// Light reflected or transmitted towards the camera at a primary hit: one unbiased estimate of all paths with 2 to `limits.depth` segments.
+/// Light reflected or transmitted towards the camera at a primary hit: one unbiased estimate of all
+/// paths with 2 to `limits.depth` segments.
 ///
-/// `LIGHTS` (of [`sampled`]) are sampled at every vertex with a non-delta lobe, combined with BSDF sampling by the power heuristic. The primary
-/// ray's direction is of unit length.
+/// `LIGHTS` (of [`sampled`]) are sampled at every vertex with a non-delta lobe, combined with BSDF
+/// sampling by the power heuristic. The primary ray's direction is of unit length.
 #[inline]
 #[must_use]
 pub fn scattered_radiance<const LIGHTS: u8, F: HitFilter>(
@@ -81,8 +85,9 @@ pub fn scattered_radiance<const LIGHTS: u8, F: HitFilter>(
     walk::<LIGHTS, true, F>(world, filter, seed, primary, limits, counters)
 }
 
-/// As [`scattered_radiance`] with light sampling, without the light that comes straight to the primary hit and leaves it by a lobe that is not a
-/// delta: what remains for the path tracer where another technique estimates that part.
+/// As [`scattered_radiance`] with light sampling, without the light that comes straight to the
+/// primary hit and leaves it by a lobe that is not a delta: what remains for the path tracer where
+/// another technique estimates that part.
 #[inline]
 #[must_use]
 pub fn indirect_radiance<F: HitFilter>(
@@ -201,8 +206,8 @@ fn walk<const LIGHTS: u8, const DIRECT: bool, F: HitFilter>(
     radiance
 }
 
-/// One sample of a light that was chosen with a probability, weighted against BSDF sampling: with its sum over lights an estimate of
-/// `∫ Le f |cos θ| V w_ℓ dω`.
+/// One sample of a light that was chosen with a probability, weighted against BSDF sampling: with
+/// its sum over lights an estimate of `∫ Le f |cos θ| V w_ℓ dω`.
 #[inline]
 fn direct_light<F: HitFilter>(
     (world, filter, surface, outgoing): (&World, &F, &SurfacePoint, Vec3),
@@ -230,7 +235,8 @@ fn direct_light<F: HitFilter>(
     incident.radiance * scattered.value * (share / density)
 }
 
-/// The ray that asks whether a light point is seen from a surface; it ends before the light's own surface.
+/// The ray that asks whether a light point is seen from a surface; it ends before the light's own
+/// surface.
 #[inline]
 #[must_use]
 pub fn shadow_ray(surface: &SurfacePoint, direction: Vec3, end: Option<Vec3>) -> Ray {

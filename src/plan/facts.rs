@@ -120,7 +120,8 @@ impl SceneFacts {
                 (true, textured(roughness))
             }
         };
-        // What is smooth enough for a delta is the lobes' own business; only roughness decides it, so any texture coordinates do.
+        // What is smooth enough for a delta is the lobes' own business; only roughness decides it,
+        // so any texture coordinates do.
         let bsdf = evaluate_material(scene, id, glam::Vec2::splat(0.5));
         self.delta_lobes |= varies || (0..bsdf.lobe_count()).any(|lobe| bsdf.is_delta(lobe));
         self.glossy_lobes |= rough && (varies || !bsdf.is_delta(0));

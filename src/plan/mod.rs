@@ -1,5 +1,5 @@
-//! What a scene needs ([`SceneFacts`]) and what a technique will therefore run ([`Plan`]): plain data, made once, printed by
-//! `afterimage plan`.
+//! What a scene needs ([`SceneFacts`]) and what a technique will therefore run ([`Plan`]): plain
+//! data, made once, printed by `afterimage plan`.
 
 mod builder;
 mod facts;
@@ -169,7 +169,8 @@ pub struct Plan {
     pub technique: String,
     /// In order.
     pub passes: Vec<Pass>,
-    /// All state; the first three are always [`Plan::HITS`], [`Plan::RADIANCE`], [`Plan::EMISSION`].
+    /// All state; the first three are always [`Plan::HITS`], [`Plan::RADIANCE`],
+    /// [`Plan::EMISSION`].
     pub buffers: Vec<BufferPlan>,
     /// What is left out, and why.
     pub skipped: Vec<Skip>,

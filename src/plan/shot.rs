@@ -25,8 +25,8 @@ pub struct Shot {
     /// Complete independent estimates a pixel and frame, averaged; at least 1.
     ///
     /// A technique that keeps reservoirs has as many chains of them, so its effort is whole. For
-    /// others it may have a fraction: with 2.4 each pixel gets two estimates, and 40 % of the pixels,
-    /// others in each frame, a third.
+    /// others it may have a fraction: with 2.4 each pixel gets two estimates, and 40 % of the
+    /// pixels, others in each frame, a third.
     pub effort: f32,
     /// Frames a second of scene time.
     pub fps: u32,

@@ -4,7 +4,8 @@ use glam::Vec3;
 
 use super::Claim;
 
-/// What a merge promises, as far as it decides an estimator's bias; found from parameters and scene, before any sample.
+/// What a merge promises, as far as it decides an estimator's bias; found from parameters and
+/// scene, before any sample.
 ///
 /// See `docs/visibility.md` for the counterexamples behind each condition.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -15,23 +16,27 @@ use super::Claim;
 pub struct Conditions {
     /// Whether anything is reused at all. Without it every estimator is f V W of a fresh sample.
     pub reuse: bool,
-    /// Whether merges of unequal domains use weights that sum to 1 over the inputs that reach a sample.
+    /// Whether merges of unequal domains use weights that sum to 1 over the inputs that reach a
+    /// sample.
     pub partition: bool,
-    /// The same of the weights that single inputs are shown with: false for families that know theirs only after the selection, where
-    /// supports differ.
+    /// The same of the weights that single inputs are shown with: false for families that know
+    /// theirs only after the selection, where supports differ.
     pub streamed_partition: bool,
-    /// Whether an input that carries an averaged visibility keeps a MIS weight mᵢ p̂ |∂T| / p̂ᵢ that is the same for all samples.
+    /// Whether an input that carries an averaged visibility keeps a MIS weight mᵢ p̂ |∂T| / p̂ᵢ
+    /// that is the same for all samples.
     pub chained_weight_constant: bool,
-    /// Whether the visibility function is the same wherever a chain has been: receiver, lights and occluders stay.
+    /// Whether the visibility function is the same wherever a chain has been: receiver, lights and
+    /// occluders stay.
     pub still: bool,
     /// Whether f / p̂ is the same for all samples of a receiver, in every channel.
     pub target_proportional: bool,
     /// Whether a stored visibility is used only for the receiver that it was found at.
     pub own_visibility: bool,
-    /// Whether a sample of positive target can have been dropped because one receiver did not see it.
+    /// Whether a sample of positive target can have been dropped because one receiver did not see
+    /// it.
     pub drops_occluded: bool,
-    /// Whether confidences, coefficients, the choice of neighbours and the number of mutations depend on surfaces alone, never on a
-    /// sample: its weight, its age, whether it was occluded.
+    /// Whether confidences, coefficients, the choice of neighbours and the number of mutations
+    /// depend on surfaces alone, never on a sample: its weight, its age, whether it was occluded.
     pub sample_blind: bool,
 }
 
@@ -102,9 +107,10 @@ impl Estimator for Selected {
 
 /// f(Y) V̄ W with V̄ averaged along the chain of merges (Tokuyoshi 2024, eq. 4 and 5).
 ///
-/// Unbiased if and only if every chained input has a weight mᵢ p̂ |∂T| / p̂ᵢ that is the same for all samples and the same visibility function, the
-/// target is proportional to f, and fresh inputs cover the rest of the support. The paper's condition (static scene, p̂ ∝ f, any weights that
-/// sum to 1) is not enough: with balance weights the smallest example gives 15/16.
+/// Unbiased if and only if every chained input has a weight mᵢ p̂ |∂T| / p̂ᵢ that is the same for
+/// all samples and the same visibility function, the target is proportional to f, and fresh inputs
+/// cover the rest of the support. The paper's condition (static scene, p̂ ∝ f, any weights that sum
+/// to 1) is not enough: with balance weights the smallest example gives 15/16.
 #[derive(Clone, Copy, Debug)]
 pub struct WeightedVisibility;
 
@@ -170,9 +176,11 @@ impl Estimator for Decoupled {
     }
 }
 
-/// C = Σ mᵢ Fᵢ + Σ aᵢ (C̄ᵢ − F̃ᵢ): the chain's earlier estimate C̄ᵢ corrects, minus F̃ᵢ, the same sample's contribution *at the receiver
-/// where C̄ᵢ was made*. E[C̄ᵢ − F̃ᵢ] = 0 given the surfaces, so C is unbiased for any MIS weights, any target, any channel, and under motion,
-/// for coefficients aᵢ that know no sample. Subtracting the contribution at the new receiver instead is biased as soon as anything moves.
+/// C = Σ mᵢ Fᵢ + Σ aᵢ (C̄ᵢ − F̃ᵢ): the chain's earlier estimate C̄ᵢ corrects, minus F̃ᵢ, the same
+/// sample's contribution *at the receiver where C̄ᵢ was made*. E[C̄ᵢ − F̃ᵢ] = 0 given the surfaces,
+/// so C is unbiased for any MIS weights, any target, any channel, and under motion, for
+/// coefficients aᵢ that know no sample. Subtracting the contribution at the new receiver instead is
+/// biased as soon as anything moves.
 #[derive(Clone, Copy, Debug)]
 pub struct ControlVariate;
 

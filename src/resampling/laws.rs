@@ -1,6 +1,7 @@
 //! The traits' laws as checks for any implementation: each panics with what it found.
 //!
-//! They are exact: no statistics. Give them a handful of samples and domains that meet all the cases of the map or reservoir.
+//! They are exact: no statistics. Give them a handful of samples and domains that meet all the
+//! cases of the map or reservoir.
 
 use std::fmt::Debug;
 
@@ -44,7 +45,8 @@ where
     R::Sample: PartialEq + Debug,
 {
     let weights: Vec<f32> = (0..samples.len()).map(|i| [3.0, 0.0, 0.5, 2.0][i % 4]).collect();
-    // Law 1: candidate i is selected if it is taken and no later one is: Π gives wᵢ / Σw for any weights.
+    // Law 1: candidate i is selected if it is taken and no later one is: Π gives wᵢ / Σw for any
+    // weights.
     for chosen in (0..samples.len()).filter(|&i| weights[i] > 0.0) {
         let mut reservoir = R::default();
         let mut probability = 1.0;
@@ -89,7 +91,8 @@ where
     assert_eq!((empty.sample.is_none(), empty.weight.get(), empty.confidence), (true, 0.0, 2.0));
 }
 
-/// Laws 1 to 4 of [`ShiftMap`] for every sample and every pair of domains; `same` tells whether two samples are one, up to rounding.
+/// Laws 1 to 4 of [`ShiftMap`] for every sample and every pair of domains; `same` tells whether two
+/// samples are one, up to rounding.
 ///
 /// # Panics
 /// If a law is broken, or no shift is defined at all.
@@ -131,8 +134,9 @@ pub fn check_shift<T: ShiftMap>(
     assert!(defined > 0, "no shift is defined");
 }
 
-/// Law 1 of [`Mutator`] on a finite set of states: builds the kernel that `outcomes` enumerates (all states that a step from i can end in,
-/// with probabilities) and checks Σᵢ p̂ᵢ K(i→j) = p̂ⱼ to a relative `tolerance` of the largest target.
+/// Law 1 of [`Mutator`] on a finite set of states: builds the kernel that `outcomes` enumerates
+/// (all states that a step from i can end in, with probabilities) and checks Σᵢ p̂ᵢ K(i→j) = p̂ⱼ to
+/// a relative `tolerance` of the largest target.
 ///
 /// # Panics
 /// If the law is broken.
@@ -159,7 +163,8 @@ pub fn check_invariance(
     }
 }
 
-/// That a mutator proposes symmetrically between regular states (law 2): a proposal from a state that itself proposes, leads to one that does.
+/// That a mutator proposes symmetrically between regular states (law 2): a proposal from a state
+/// that itself proposes, leads to one that does.
 ///
 /// # Panics
 /// If a proposal leads to a state that makes none, with a positive acceptance.

@@ -1,4 +1,5 @@
-//! Merging finished reservoirs of several domains into one: spatial and temporal reuse, for any shift map and any MIS family.
+//! Merging finished reservoirs of several domains into one: spatial and temporal reuse, for any
+//! shift map and any MIS family.
 
 use std::borrow::Borrow;
 
@@ -17,8 +18,9 @@ pub struct Input<'a, S, D, M> {
     pub domain: &'a D,
 }
 
-/// The inputs of a merge besides the canonical one. A slice of [`Input`]s is the plain form; a host that finds domains only when they are
-/// asked for (most merges ask for few) implements it for a type of its own.
+/// The inputs of a merge besides the canonical one. A slice of [`Input`]s is the plain form; a host
+/// that finds domains only when they are asked for (most merges ask for few) implements it for a
+/// type of its own.
 pub trait OtherInputs<S, D, M, I> {
     /// A domain, or a reference to one.
     type Domain<'s>: Borrow<D>
@@ -102,13 +104,15 @@ pub struct Merged<S, I, M> {
     pub integrand: Option<I>,
 }
 
-/// Merges `others` into `canonical`: wᵢ = mᵢ p̂(T yᵢ) Wᵢ |∂T|, Y ∝ w, W = Σw / p̂(Y) (Lin et al. 2022, eq. 19, 22).
+/// Merges `others` into `canonical`: wᵢ = mᵢ p̂(T yᵢ) Wᵢ |∂T|, Y ∝ w, W = Σw / p̂(Y) (Lin et al.
+/// 2022, eq. 19, 22).
 ///
-/// The others must have been accepted by their domains alone, never by their samples; one whose shift fails stays in the MIS weights.
-/// `carry` is asked for each input that is streamed, which those of weight 0 are not, others first, what it brings to `reservoir`, which must be empty.
+/// The others must have been accepted by their domains alone, never by their samples; one whose
+/// shift fails stays in the MIS weights. `carry` is asked for each input that is streamed, which
+/// those of weight 0 are not, others first, what it brings to `reservoir`, which must be empty.
 ///
-/// Shifts from and to the others are only made where a weight needs them: none to an input while the canonical has no sample, none at all
-/// for constant weights.
+/// Shifts from and to the others are only made where a weight needs them: none to an input while
+/// the canonical has no sample, none at all for constant weights.
 pub fn merge<T, R, M>(
     map: &mut T,
     family: Family,
@@ -217,7 +221,8 @@ where
         if !any_other
             && !matches!(family, Family::Constant | Family::InverseCount | Family::Contribution)
         {
-            // Nothing was merged: the shares sum to 1 but for rounding, and the canonical must come out as it went in.
+            // Nothing was merged: the shares sum to 1 but for rounding, and the canonical must come
+            // out as it went in.
             canonical_mis = 1.0;
         }
         let contribution = canonical_mis * own.weight.get();
@@ -294,9 +299,11 @@ where
     Merged { finished, target, source, integrand: shifted.map(|s| s.integrand) }
 }
 
-/// Merges last frame's reservoir into this frame's, its confidence capped at `cap` times the canonical's.
+/// Merges last frame's reservoir into this frame's, its confidence capped at `cap` times the
+/// canonical's.
 ///
-/// Without a cap a chain of merges converges to a wrong picture: old samples outweigh all new ones. The cap is in frames; a paper's M.
+/// Without a cap a chain of merges converges to a wrong picture: old samples outweigh all new ones.
+/// The cap is in frames; a paper's M.
 pub fn merge_history<T, R, M>(
     map: &mut T,
     (family, cap): (Family, f32),
@@ -334,7 +341,8 @@ fn leaving<T: ShiftMap, M>(
         .unwrap_or_else(|| target_from(map, own_sample, canonical, others.domain(at).borrow()))
 }
 
-/// p̂ of `domain` at T(y) times |∂T|: its target as the canonical domain sees it; 0 where T is undefined.
+/// p̂ of `domain` at T(y) times |∂T|: its target as the canonical domain sees it; 0 where T is
+/// undefined.
 #[inline]
 fn target_from<T: ShiftMap>(
     map: &mut T,

@@ -1,6 +1,7 @@
 //! MIS weights of resampling, as pure functions of targets and confidences.
 //!
-//! For a sample y in the canonical domain, fromⱼ = p̂←ⱼ(y) is input j's target there, and C = Σ cⱼ over all accepted inputs, cκ the canonical's.
+//! For a sample y in the canonical domain, fromⱼ = p̂←ⱼ(y) is input j's target there, and C = Σ cⱼ
+//! over all accepted inputs, cκ the canonical's.
 //!
 //! | family | weight of input i at y | shifts | unbiased |
 //! |---|---|---|---|
@@ -11,7 +12,8 @@
 //! | [`Family::Pairwise`] | pairs with the canonical, shares cⱼ / (C − cκ) | 2k | yes |
 //! | [`Family::DefensivePairwise`] | the same with shares cⱼ / C, and cκ / C for the canonical alone | 2k | yes, and mκ ≥ cκ / C |
 //!
-//! All need cκ > 0 and a canonical sample that can be drawn wherever the canonical target is positive.
+//! All need cκ > 0 and a canonical sample that can be drawn wherever the canonical target is
+//! positive.
 
 /// Which MIS weights a merge uses; see the module's table.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -55,28 +57,32 @@ impl Family {
         }
     }
 
-    /// Whether the weights sum to 1 over the inputs that reach a sample, so that a merge is unbiased whatever the supports.
+    /// Whether the weights sum to 1 over the inputs that reach a sample, so that a merge is
+    /// unbiased whatever the supports.
     #[must_use]
     pub const fn partitions_unity(self) -> bool {
         !matches!(self, Self::Constant)
     }
 
-    /// Whether the same holds for the weights of the single terms, so that their sum may be shown as well as the selected sample. `InverseCount`
-    /// and `Contribution` know their weights only after the selection: their terms have constant ones.
+    /// Whether the same holds for the weights of the single terms, so that their sum may be shown
+    /// as well as the selected sample. `InverseCount` and `Contribution` know their weights only
+    /// after the selection: their terms have constant ones.
     #[must_use]
     pub const fn terms_partition_unity(self) -> bool {
         matches!(self, Self::Balance | Self::Pairwise | Self::DefensivePairwise)
     }
 }
 
-/// x / (x + y) for x ≥ 0 and y ≥ 0; 0 where x is 0. By the ratio, so that neither product nor sum overflows.
+/// x / (x + y) for x ≥ 0 and y ≥ 0; 0 where x is 0. By the ratio, so that neither product nor sum
+/// overflows.
 #[inline]
 #[must_use]
 pub fn share(x: f32, y: f32) -> f32 {
     if x > 0.0 { 1.0 / (1.0 + y / x) } else { 0.0 }
 }
 
-/// Weight of input i among all: cᵢ fromᵢ / Σ cⱼ fromⱼ, `others` being the pairs (cⱼ, fromⱼ) of the other inputs.
+/// Weight of input i among all: cᵢ fromᵢ / Σ cⱼ fromⱼ, `others` being the pairs (cⱼ, fromⱼ) of the
+/// other inputs.
 #[inline]
 #[must_use]
 pub fn balance(own: (f32, f32), others: impl Iterator<Item = (f32, f32)>) -> f32 {
@@ -84,7 +90,8 @@ pub fn balance(own: (f32, f32), others: impl Iterator<Item = (f32, f32)>) -> f32
     if confidence <= 0.0 || target <= 0.0 {
         return 0.0;
     }
-    // Ratios of targets: sums of huge targets would overflow. A ratio may still be infinite, so what counts for nothing is left out.
+    // Ratios of targets: sums of huge targets would overflow. A ratio may still be infinite, so
+    // what counts for nothing is left out.
     let rivals = others.filter(|&(c, _)| c > 0.0);
     1.0 / (1.0 + rivals.map(|(c, from)| c / confidence * (from / target)).sum::<f32>())
 }
@@ -118,7 +125,8 @@ impl Pairwise {
         self.pair(confidence) / (1.0 + self.canonical / self.others * (target / from))
     }
 
-    /// The canonical's part of input j's pair, at the canonical sample; `from` = p̂←ⱼ(y) there, `target` = p̂(y) > 0.
+    /// The canonical's part of input j's pair, at the canonical sample; `from` = p̂←ⱼ(y) there,
+    /// `target` = p̂(y) > 0.
     #[inline]
     #[must_use]
     pub fn canonical_part(&self, confidence: f32, from: f32, target: f32) -> f32 {
@@ -133,8 +141,9 @@ impl Pairwise {
     }
 }
 
-/// All weights of a family at one sample y, input 0 being the canonical: the plain form that the partition of unity is tested on.
-/// `from` are p̂←ⱼ(y). For 1/Z and contribution weights entry i is what a sample that was selected from input i counts.
+/// All weights of a family at one sample y, input 0 being the canonical: the plain form that the
+/// partition of unity is tested on. `from` are p̂←ⱼ(y). For 1/Z and contribution weights entry i is
+/// what a sample that was selected from input i counts.
 #[must_use]
 pub fn weights(family: Family, confidences: &[f32], from: &[f32]) -> Vec<f32> {
     let n = confidences.len();

@@ -1,4 +1,5 @@
-//! Resampled importance sampling with reuse between domains, for any kind of sample: the part of every ReSTIR method that knows no renderer.
+//! Resampled importance sampling with reuse between domains, for any kind of sample: the part of
+//! every ReSTIR method that knows no renderer.
 //!
 //! | symbol | here | meaning |
 //! |---|---|---|
@@ -20,8 +21,9 @@
 //! | [`Mutator`] | a kernel that leaves a target invariant | they live with their samples; [`metropolis`] drives them |
 //! | [`Estimator`] | a finished pixel to radiance, and what that promises | [`Selected`], [`WeightedVisibility`], [`ControlVariate`], [`Decoupled`] |
 //!
-//! Papers: Lin et al. (2022), *Generalized Resampled Importance Sampling*; Bitterli et al. (2020), *Spatiotemporal reservoir resampling*;
-//! Sawhney et al. (2024), *Decorrelating ReSTIR Samplers via MCMC Mutations*; Tokuyoshi (2024), *Efficient Visibility Reuse for Real-time ReSTIR*.
+//! Papers: Lin et al. (2022), *Generalized Resampled Importance Sampling*; Bitterli et al. (2020),
+//! *Spatiotemporal reservoir resampling*; Sawhney et al. (2024), *Decorrelating ReSTIR Samplers via
+//! MCMC Mutations*; Tokuyoshi (2024), *Efficient Visibility Reuse for Real-time ReSTIR*.
 //!
 //! # Example: two integrals that share their samples
 //!

@@ -1,8 +1,9 @@
-//! Mutations: moving a finished sample by a Markov chain between two reuses, so that pixels that took the same sample stop sharing it
-//! (Sawhney et al. 2024).
+//! Mutations: moving a finished sample by a Markov chain between two reuses, so that pixels that
+//! took the same sample stop sharing it (Sawhney et al. 2024).
 //!
-//! If a kernel K leaves p̂ invariant, Σₓ p̂(x) K(x→y) = p̂(y), and X has contribution weight W, then Y ~ K(X, ·) has W′ = W p̂(X) / p̂(Y): E[f(Y) W′] = ∫ f.
-//! X need not be distributed like p̂, and p̂(Y) W′ = p̂(X) W: the pixel's own luminance estimate never changes.
+//! If a kernel K leaves p̂ invariant, Σₓ p̂(x) K(x→y) = p̂(y), and X has contribution weight W,
+//! then Y ~ K(X, ·) has W′ = W p̂(X) / p̂(Y): E[f(Y) W′] = ∫ f. X need not be distributed like p̂,
+//! and p̂(Y) W′ = p̂(X) W: the pixel's own luminance estimate never changes.
 
 use crate::math::rng::RandomSource;
 
@@ -15,13 +16,16 @@ pub struct Proposal<S> {
     pub acceptance: f32,
 }
 
-/// A Markov kernel that leaves a target p̂ invariant, in the measure of the sample's contribution weight.
+/// A Markov kernel that leaves a target p̂ invariant, in the measure of the sample's contribution
+/// weight.
 ///
 /// Laws:
 /// 1. Invariance: with the Metropolis rule, Σₓ p̂(x) K(x→y) = p̂(y).
-/// 2. `None` means that the state stays; it may depend on state and numbers only, and the same test must hold for the state proposed from
-///    (a proposal that is never made must not be accepted in the other direction).
-/// 3. How often a chain is moved may depend on what the kernel preserves and on the surface, never on the sample's weight, age or origin.
+/// 2. `None` means that the state stays; it may depend on state and numbers only, and the same test
+///    must hold for the state proposed from (a proposal that is never made must not be accepted in
+///    the other direction).
+/// 3. How often a chain is moved may depend on what the kernel preserves and on the surface, never
+///    on the sample's weight, age or origin.
 pub trait Mutator {
     /// The chain's state.
     type State: Clone;
@@ -45,8 +49,9 @@ pub struct Chain<S> {
 
 /// Moves a chain `steps` times.
 ///
-/// The state is always committed. Committing only if the *last* proposal was accepted, as the pseudo-code of Fickel (2023, alg. 3) has it, is
-/// not invariant for two or more steps: the error is Σ f(y) ((Pⁿ⁻¹ r)(y) − r(y)), with r the rejection probability.
+/// The state is always committed. Committing only if the *last* proposal was accepted, as the
+/// pseudo-code of Fickel (2023, alg. 3) has it, is not invariant for two or more steps: the error
+/// is Σ f(y) ((Pⁿ⁻¹ r)(y) − r(y)), with r the rejection probability.
 pub fn metropolis<M: Mutator>(
     mutator: &mut M,
     state: M::State,

@@ -1,4 +1,5 @@
-//! Reservoirs: weighted reservoir sampling (Chao 1982) in its streaming form, and what it leaves behind.
+//! Reservoirs: weighted reservoir sampling (Chao 1982) in its streaming form, and what it leaves
+//! behind.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -7,7 +8,8 @@ use glam::Vec3;
 
 use crate::math::rng::RandomSource;
 
-/// The measure that a [`ContributionWeight`] is relative to, as a type: weights of different measures cannot be mixed.
+/// The measure that a [`ContributionWeight`] is relative to, as a type: weights of different
+/// measures cannot be mixed.
 pub trait Measure: Copy + Default + fmt::Debug + PartialEq + 'static {
     /// For people.
     const NAME: &'static str;
@@ -29,7 +31,8 @@ impl Measure for PrimarySample {
     const NAME: &'static str = "primary sample space";
 }
 
-/// An unbiased contribution weight W: E\[f(Y) W\] = ∫ f dμ for every f that is 0 where the sample's source cannot reach, with μ the measure M.
+/// An unbiased contribution weight W: E\[f(Y) W\] = ∫ f dμ for every f that is 0 where the sample's
+/// source cannot reach, with μ the measure M.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[repr(transparent)]
 pub struct ContributionWeight<M>(f32, PhantomData<M>);
@@ -72,7 +75,8 @@ impl<S, M: Measure> Finished<S, M> {
         Self { sample: None, weight: ContributionWeight::ZERO, confidence }
     }
 
-    /// A sample with W = `weight_sum` / `target` · `scale`; none where that is 0, or not finite, as 0/0 and x/0 are where p̂ is 0.
+    /// A sample with W = `weight_sum` / `target` · `scale`; none where that is 0, or not finite, as
+    /// 0/0 and x/0 are where p̂ is 0.
     #[inline]
     #[must_use]
     pub fn from_sum(
@@ -92,14 +96,16 @@ impl<S, M: Measure> Finished<S, M> {
     }
 }
 
-/// A stream of weighted candidates in, one finished sample out. The streaming form (this trait) and the finished form ([`Finished`]) are
-/// two types, so Σw is never taken for W.
+/// A stream of weighted candidates in, one finished sample out. The streaming form (this trait) and
+/// the finished form ([`Finished`]) are two types, so Σw is never taken for W.
 ///
 /// Laws:
-/// 1. After candidates with weights w₁ … wₙ, candidate i is selected with probability wᵢ / Σw, whatever their order.
+/// 1. After candidates with weights w₁ … wₙ, candidate i is selected with probability wᵢ / Σw,
+///    whatever their order.
 /// 2. A candidate of weight 0 is never selected and changes neither Σw nor what was selected.
 /// 3. `finish(p̂(Y), c)` has W = Σw / p̂(Y), and no sample where either is 0.
-/// 4. A weight that is negative, infinite or NaN, or that would make Σw infinite, is counted by `rejected` and changes nothing else.
+/// 4. A weight that is negative, infinite or NaN, or that would make Σw infinite, is counted by
+///    `rejected` and changes nothing else.
 ///
 /// Σw is summed in f32: with more than 2¹⁴ candidates of equal weight its error exceeds 5·10⁻⁵.
 pub trait Reservoir: Default {
@@ -132,7 +138,8 @@ pub trait Reservoir: Default {
         self.finish_scaled(1.0, target, confidence)
     }
 
-    /// As [`finish`](Self::finish), W multiplied by `scale`: for MIS weights that are known only after the selection.
+    /// As [`finish`](Self::finish), W multiplied by `scale`: for MIS weights that are known only
+    /// after the selection.
     #[inline]
     fn finish_scaled<M: Measure>(
         &self,
@@ -224,8 +231,9 @@ impl<S: Copy> Reservoir for Plain<S> {
     }
 }
 
-/// A reservoir that also averages what its candidates' shadow rays said: V̄ = Σ V̄ᵢ wᵢ / Σ wᵢ (Tokuyoshi 2024, eq. 4), the mean of the
-/// visibility under the very distribution that the sample is drawn from.
+/// A reservoir that also averages what its candidates' shadow rays said: V̄ = Σ V̄ᵢ wᵢ / Σ wᵢ
+/// (Tokuyoshi 2024, eq. 4), the mean of the visibility under the very distribution that the sample
+/// is drawn from.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct WithVisibility<R> {
     inner: R,
@@ -274,8 +282,9 @@ impl<R: Reservoir> Reservoir for WithVisibility<R> {
     pass_on!();
 }
 
-/// A reservoir that also sums its candidates' own contributions, Σ mᵢ F(yᵢ) Wᵢ \|∂T\|: decoupled shading. It has the mean of F(Y) W
-/// and less noise in colour, because no colour is chosen (Rao–Blackwell over the index).
+/// A reservoir that also sums its candidates' own contributions, Σ mᵢ F(yᵢ) Wᵢ \|∂T\|: decoupled
+/// shading. It has the mean of F(Y) W and less noise in colour, because no colour is chosen
+/// (Rao–Blackwell over the index).
 #[derive(Clone, Copy, Debug, Default)]
 pub struct WithRadiance<R> {
     inner: R,

@@ -46,18 +46,21 @@ pub struct Shifted<S, I> {
 /// 3. `shift(x, a, a)` is x itself, with Jacobian 1.
 /// 4. T keeps the stratum: `stratum(shift(x, a, b)) == stratum(x)`.
 ///
-/// Whether T is defined may depend on the sample and the two domains only. A failed shift keeps its domain in the MIS weights.
+/// Whether T is defined may depend on the sample and the two domains only. A failed shift keeps its
+/// domain in the MIS weights.
 pub trait ShiftMap {
     /// What is moved.
     type Sample: Copy;
-    /// Where it can be: all that the integrand depends on besides the sample (surface, view, lights, frame).
+    /// Where it can be: all that the integrand depends on besides the sample (surface, view,
+    /// lights, frame).
     type Domain;
     /// What is integrated over a domain.
     type Integrand: Integrand;
     /// The part of a sample that no shift changes.
     type Stratum: PartialEq + fmt::Debug;
 
-    /// T(x) from one domain to another, or `None` where it is undefined: the sample then weighs nothing there.
+    /// T(x) from one domain to another, or `None` where it is undefined: the sample then weighs
+    /// nothing there.
     fn shift(
         &mut self,
         sample: &Self::Sample,
@@ -69,7 +72,8 @@ pub trait ShiftMap {
     fn stratum(&self, sample: &Self::Sample) -> Self::Stratum;
 }
 
-/// The identity between domains that share their sample space; the integrand is a function of sample and domain.
+/// The identity between domains that share their sample space; the integrand is a function of
+/// sample and domain.
 #[derive(Clone, Copy, Debug)]
 pub struct Identity<F, S, D> {
     integrand: F,

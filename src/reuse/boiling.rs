@@ -21,7 +21,7 @@ pub(crate) fn limit(strength: f32) -> f32 {
 impl<D: Domain, P: Policy> Reuse<'_, D, P> {
     /// Runs the pass over a band.
     pub(crate) fn boiling(&self, band: &mut Band<'_>) -> Counters {
-        let (inputs, chains) = (self.domain.frame(), self.chains());
+        let (inputs, chains) = (self.domain.frame(), self.chains);
         let limit = limit(self.settings.boiling);
         let tiles = band.tiles(inputs.shot.size);
         let first = band.range.start as usize * band.width as usize;

@@ -1,12 +1,14 @@
-//! The control variate's state: an earlier estimate C̄ and whether the selected sample is seen, in 8 bytes.
+//! The control variate's state: an earlier estimate C̄ and whether the selected sample is seen, in
+//! 8 bytes.
 
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 
 /// C̄ in RGB, signed, with one exponent for all channels, and V of the selected sample.
 ///
-/// Three 16-bit mantissas and an exponent of 15 bits: the largest channel keeps 15 bits, and a picture twice as bright has the same mantissas. Halves
-/// (f16) would overflow at 65,504 and lose dim scenes.
+/// Three 16-bit mantissas and an exponent of 15 bits: the largest channel keeps 15 bits, and a
+/// picture twice as bright has the same mantissas. Halves (f16) would overflow at 65,504 and lose
+/// dim scenes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
 #[repr(C)]
 pub struct Control {

@@ -20,12 +20,13 @@
 //! Laws that the passes keep for any domain and policy:
 //! 1. Which history and which neighbours a pixel takes is decided by surfaces and fresh numbers
 //!    alone, never by a sample.
-//! 2. A chain takes from the chain of the same number only, so the chains of a pixel are independent
-//!    given the surfaces and the taps, and their mean has the variance of one divided by their number.
+//! 2. A chain takes from the chain of the same number only, so the chains of a pixel are
+//!    independent given the surfaces and the taps, and their mean has the variance of one divided
+//!    by their number.
 //!
 //! Papers: Bitterli et al. (2020), *Spatiotemporal reservoir resampling*; Lin et al. (2022),
-//! *Generalized Resampled Importance Sampling*; Sawhney et al. (2024), *Decorrelating ReSTIR Samplers
-//! via MCMC Mutations*.
+//! *Generalized Resampled Importance Sampling*; Sawhney et al. (2024), *Decorrelating ReSTIR
+//! Samplers via MCMC Mutations*.
 
 mod boiling;
 mod control;
@@ -63,7 +64,8 @@ pub(crate) trait StoredReservoir: Pod + Send + Sync {
     /// The measure of its contribution weight.
     type Measure: Measure;
 
-    /// A finished reservoir with p̂ of its sample, the sample's age in frames, and the policy's bits.
+    /// A finished reservoir with p̂ of its sample, the sample's age in frames, and the policy's
+    /// bits.
     fn new(
         finished: &Finished<Self::Sample, Self::Measure>,
         target: f32,
@@ -168,16 +170,18 @@ pub(crate) struct Reuse<'a, D, P> {
     pub(crate) policy: P,
     /// The parameters.
     pub(crate) settings: Settings,
+    /// Chains of a pixel.
+    chains: usize,
 }
 
 /// An input of a merge of domain `D`.
 type InputOf<'r, D> =
     Input<'r, <D as Domain>::Sample, <D as Domain>::Receiver, <D as Domain>::Measure>;
 
-impl<D: Domain, P: Policy> Reuse<'_, D, P> {
-    /// Chains of a pixel.
-    fn chains(&self) -> usize {
-        self.domain.frame().shot.chains() as usize
+impl<'a, D: Domain, P: Policy> Reuse<'a, D, P> {
+    /// The passes for a domain's frame.
+    pub(crate) fn new(domain: &'a D, policy: P, settings: Settings) -> Self {
+        Self { domain, policy, settings, chains: domain.frame().shot.chains() as usize }
     }
 
     /// The numbers of a chain for one purpose and round.

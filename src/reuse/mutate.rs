@@ -14,7 +14,7 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
     /// Runs the pass over a band.
     pub(crate) fn mutate(&self, band: &mut Band<'_>) -> Counters {
         let mut counters = Counters::default();
-        let (inputs, chains) = (self.domain.frame(), self.chains());
+        let (inputs, chains) = (self.domain.frame(), self.chains);
         let hits = inputs.read::<PrimaryHit>(Plan::HITS);
         let pixels = band.pixels();
         let records: &mut [D::Record] = band.take(inputs.id(Keys::<D::Record>::RESERVOIRS));

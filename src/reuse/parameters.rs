@@ -11,8 +11,8 @@ pub const MAX_NEIGHBOURS: usize = 8;
 pub enum Taps {
     /// Each pixel its own, uniformly over a disk.
     Random,
-    /// The same exchange for all pixels of a frame, x ↦ ((x + s) xor m) − s: pixels swap their samples
-    /// in pairs, so no sample is taken by many pixels at once.
+    /// The same exchange for all pixels of a frame, x ↦ ((x + s) xor m) − s: pixels swap their
+    /// samples in pairs, so no sample is taken by many pixels at once.
     #[default]
     Xor,
 }
@@ -69,9 +69,9 @@ pub struct Settings {
     pub mis: Family,
     /// What becomes of the spatial result.
     pub spatial: SpatialUse,
-    /// Where nothing moves, frames of history from which a pixel takes nothing from its neighbours, in
-    /// [0, 250]; 0: every pixel always takes. Old samples of a still pixel are as good as fresh ones,
-    /// and neighbours that carry the same sample err together.
+    /// Where nothing moves, frames of history from which a pixel takes nothing from its neighbours,
+    /// in [0, 250]; 0: every pixel always takes. Old samples of a still pixel are as good as fresh
+    /// ones, and neighbours that carry the same sample err together.
     pub mature: u32,
     /// Whether all inputs of the last merge are shown, not the selected one.
     pub decoupled: bool,

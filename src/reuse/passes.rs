@@ -1,5 +1,5 @@
-//! Which passes of reuse run, which buffers they have, and which of them a round reads and writes: all
-//! of it once, for plans, kernels and twins.
+//! Which passes of reuse run, which buffers they have, and which of them a round reads and writes:
+//! all of it once, for plans, kernels and twins.
 
 use super::policy::Policy;
 use super::{Control, SpatialUse, StoredReservoir, boiling};
@@ -91,8 +91,8 @@ pub(crate) struct Round {
 }
 
 impl Round {
-    /// Round `number` of the settings. Rounds before the last alternate between two places, the first
-    /// of which reads what temporal reuse left.
+    /// Round `number` of the settings. Rounds before the last alternate between two places, the
+    /// first of which reads what temporal reuse left.
     pub(crate) fn new(settings: &Settings, number: u32) -> Self {
         let last = number + 1 == settings.rounds;
         let kept = settings.spatial == SpatialUse::Feedback;
@@ -111,8 +111,8 @@ impl Round {
         Self { number, last, from, to, kept }
     }
 
-    /// Where the estimates come from, and where they go. A pixel reads its own only, so rounds before
-    /// the last update them in place.
+    /// Where the estimates come from, and where they go. A pixel reads its own only, so rounds
+    /// before the last update them in place.
     pub(crate) fn controls(&self) -> (ControlPlace, Option<ControlPlace>) {
         let between = if self.kept { ControlPlace::Controls } else { ControlPlace::Bounce };
         let from = if self.number == 0 { ControlPlace::Controls } else { between };
@@ -309,8 +309,8 @@ fn shifts(family: Family, k: u64) -> u64 {
 mod tests {
     use super::*;
 
-    /// Each round reads what the one before wrote; the last one writes what the next frame reads, and
-    /// where nothing is kept no round touches what temporal reuse left.
+    /// Each round reads what the one before wrote; the last one writes what the next frame reads,
+    /// and where nothing is kept no round touches what temporal reuse left.
     #[test]
     fn rounds_hand_on_what_they_wrote() {
         for spatial in [SpatialUse::Feedback, SpatialUse::Display] {

@@ -15,7 +15,7 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
     /// Shades what temporal reuse left, where there is no spatial pass.
     pub(crate) fn shade(&self, band: &mut Band<'_>) -> Counters {
         let mut counters = Counters::default();
-        let (inputs, chains) = (self.domain.frame(), self.chains());
+        let (inputs, chains) = (self.domain.frame(), self.chains);
         let records = inputs.at(Keys::<D::Record>::RESERVOIRS);
         let controls: &[Control] = inputs.some(passes::CONTROLS);
         let hits = inputs.read::<PrimaryHit>(Plan::HITS);
@@ -54,7 +54,7 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
     /// The mean over chains of what each shows.
     #[inline]
     pub(super) fn mean(&self, sum: Vec3) -> Vec3 {
-        sum / self.chains() as f32
+        sum / self.chains as f32
     }
 
     /// F(Y) V W of a finished reservoir; a ray where the policy asks for one, whose outcome `bits`

@@ -1,5 +1,5 @@
-//! Spatial reuse: each pixel merges the reservoirs of a few neighbours with similar surfaces into its
-//! own, round after round; the last round also shades.
+//! Spatial reuse: each pixel merges the reservoirs of a few neighbours with similar surfaces into
+//! its own, round after round; the last round also shades.
 
 use bytemuck::Zeroable;
 
@@ -28,6 +28,9 @@ struct RoundInputs<'r, R> {
     hits: &'r [PrimaryHit],
     normals: &'r [u32],
     offsets: Offsets,
+    /// A pixel of more confidence than this goes without its neighbours. Confidence depends on
+    /// where surfaces were found again, and on no sample.
+    mature: f32,
 }
 
 /// The taps of a pixel that fit.
@@ -112,13 +115,18 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
     /// Runs round number `round` over a band.
     pub(crate) fn spatial(&self, round: u32, band: &mut Band<'_>) -> Counters {
         let mut counters = Counters::default();
-        let (inputs, chains) = (self.domain.frame(), self.chains());
+        let (inputs, chains) = (self.domain.frame(), self.chains);
         let round = Round::new(&self.settings, round);
         let read = RoundInputs {
             records: inputs.at(Keys::<D::Record>::at(round.from)),
             hits: inputs.read(Plan::HITS),
             normals: inputs.at(passes::NORMALS),
             offsets: Offsets::new(inputs, &self.settings, round.number),
+            mature: match passes::mature(&self.settings, inputs.plan.still) {
+                0 => f32::INFINITY,
+                // The canonical sample of this frame counts as one more.
+                frames => frames as f32,
+            },
         };
         let pixels = band.pixels();
         let out: &mut [D::Record] =
@@ -159,7 +167,7 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
                 taps: [Tap::default(); MAX_NEIGHBOURS],
                 count: 0,
             };
-            if !self.is_mature(&read.records[first]) {
+            if read.records[first].confidence() <= read.mature {
                 self.find(&read, pixel, &mut found, &mut counters);
             }
             let mut sum = Vec3::ZERO;
@@ -198,15 +206,6 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
         counters + D::work(&map)
     }
 
-    /// Whether a pixel has history enough to go without its neighbours. Its confidence says so, which
-    /// depends on where surfaces were found again, and on no sample.
-    #[inline]
-    fn is_mature(&self, record: &D::Record) -> bool {
-        let mature = passes::mature(&self.settings, self.domain.frame().plan.still);
-        // The canonical sample of this frame counts as one more.
-        mature > 0 && record.confidence() > mature as f32
-    }
-
     /// Finds the taps of a pixel whose surfaces fit.
     #[inline]
     fn find(
@@ -216,7 +215,7 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
         found: &mut Found<'_, D>,
         counters: &mut Counters,
     ) {
-        let (inputs, chains) = (self.domain.frame(), self.chains());
+        let (inputs, chains) = (self.domain.frame(), self.chains);
         let similar = Similar::new(read.hits, read.normals, pixel);
         read.offsets.visit(inputs, pixel, |tap| {
             let fits = |tap: &Tap| {

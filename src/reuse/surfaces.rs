@@ -1,5 +1,5 @@
-//! Which pixels may share their samples: the pixel that saw a surface in the previous frame, and the
-//! neighbours whose surfaces are similar.
+//! Which pixels may share their samples: the pixel that saw a surface in the previous frame, and
+//! the neighbours whose surfaces are similar.
 //!
 //! All of it depends on surfaces and fresh numbers alone (law 1 of [`super`]).
 
@@ -15,8 +15,8 @@ use crate::math::{octahedral_decode, octahedral_encode};
 use crate::pass::{FrameInputs, Pixel, PrimaryHit};
 use crate::plan::Plan;
 
-/// Surfaces are similar where the cosine between their normals is at least this, and their distances
-/// differ by less than [`DEPTH`] of the own one (the values of Lin et al. 2022).
+/// Surfaces are similar where the cosine between their normals is at least this, and their
+/// distances differ by less than [`DEPTH`] of the own one (the values of Lin et al. 2022).
 const COSINE: f32 = 0.5;
 const DEPTH: f32 = 0.1;
 
@@ -43,9 +43,9 @@ fn unpack_normal(word: u32) -> Vec3 {
 /// The pixel of the previous frame that saw the surface of a hit, with its hit there; `None` where
 /// another surface was seen. `normal` is the hit's own.
 ///
-/// The motion vector is position − p, with position the surface point's place in the previous frame's
-/// picture and p this frame's sample position; it is rounded to a pixel with a probability in
-/// proportion to its overlap, so that no pixel keeps being missed.
+/// The motion vector is position − p, with position the surface point's place in the previous
+/// frame's picture and p this frame's sample position; it is rounded to a pixel with a probability
+/// in proportion to its overlap, so that no pixel keeps being missed.
 pub(super) fn reproject(
     inputs: &FrameInputs<'_>,
     hit: &Hit,
@@ -102,8 +102,8 @@ impl Offsets {
         Self { round, count: neighbours, radius, exchanges }
     }
 
-    /// Calls `each` with every tap of a pixel, `None` where it lies outside of the picture or at the
-    /// pixel itself.
+    /// Calls `each` with every tap of a pixel, `None` where it lies outside of the picture or at
+    /// the pixel itself.
     #[inline]
     pub(super) fn visit(
         &self,
@@ -130,9 +130,9 @@ impl Offsets {
     }
 }
 
-/// Shift s and mask m of an exchange: x ↦ ((x + s) xor m) − s is its own inverse, so pixels exchange
-/// their samples in pairs, and moves each coordinate by at most its mask. Masks are uniform over the
-/// quarter of a disk of the radius.
+/// Shift s and mask m of an exchange: x ↦ ((x + s) xor m) − s is its own inverse, so pixels
+/// exchange their samples in pairs, and moves each coordinate by at most its mask. Masks are
+/// uniform over the quarter of a disk of the radius.
 fn exchange(random: &mut Stream, radius: f32) -> ([u32; 2], [u32; 2]) {
     let r = radius * random.uniform().sqrt();
     let (sin, cos) = sin_cos_turn(0.25 * random.uniform());

@@ -68,7 +68,7 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
     /// Where nothing moves: the same pixel, the same receiver, the targets that are stored.
     fn temporal_still(&self, band: &mut Band<'_>) -> Counters {
         let mut counters = Counters::default();
-        let (inputs, chains) = (self.domain.frame(), self.chains());
+        let (inputs, chains) = (self.domain.frame(), self.chains);
         let history = passes::history::<D::Record>(inputs);
         let pixels = band.pixels();
         let records: &mut [D::Record] = band.take(inputs.id(Keys::<D::Record>::RESERVOIRS));
@@ -114,7 +114,7 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
     /// The general form: reprojection, and shifts between the two frames' receivers.
     fn temporal_moving(&self, band: &mut Band<'_>) -> Counters {
         let mut counters = Counters::default();
-        let (inputs, chains) = (self.domain.frame(), self.chains());
+        let (inputs, chains) = (self.domain.frame(), self.chains);
         let hits = inputs.read::<PrimaryHit>(Plan::HITS);
         let history = passes::history::<D::Record>(inputs);
         let history_controls = passes::history_controls(inputs);
@@ -175,8 +175,8 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
         counters + D::work(&map)
     }
 
-    /// Merges one chain of a pixel with what it was one frame ago: the record and the estimate after
-    /// it.
+    /// Merges one chain of a pixel with what it was one frame ago: the record and the estimate
+    /// after it.
     #[inline]
     fn merge_frames(
         &self,

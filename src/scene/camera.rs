@@ -56,7 +56,8 @@ impl CameraRays {
 }
 
 impl Camera {
-    /// The rays of a `size` picture. The camera's transform must be fixed (see [`super::Scene::at`]).
+    /// The rays of a `size` picture. The camera's transform must be fixed (see
+    /// [`super::Scene::at`]).
     #[must_use]
     pub fn rays(&self, size: [u32; 2]) -> CameraRays {
         let to_world = self.to_world.fixed();
@@ -88,7 +89,8 @@ impl Camera {
         }
     }
 
-    /// The pixel position that a world point projects to, or `None` at and behind the pinhole. Inverse of [`CameraRays::ray`].
+    /// The pixel position that a world point projects to, or `None` at and behind the pinhole.
+    /// Inverse of [`CameraRays::ray`].
     #[must_use]
     pub fn project(&self, point: Vec3, size: [u32; 2]) -> Option<Vec2> {
         self.projection(size).project(point)

@@ -1,8 +1,9 @@
 //! Scenes made in memory.
 //!
-//! `many-lights:N[:SEED]` is N small coloured emitters of very different size and power among blocks on a floor. Draws of light i depend
-//! on the seed and i only. All lights together emit [`TOTAL_POWER`] whatever N is, and cover about the same area, so that pictures for
-//! different N look alike while their sampling problem grows.
+//! `many-lights:N[:SEED]` is N small coloured emitters of very different size and power among
+//! blocks on a floor. Draws of light i depend on the seed and i only. All lights together emit
+//! [`TOTAL_POWER`] whatever N is, and cover about the same area, so that pictures for different N
+//! look alike while their sampling problem grows.
 
 use std::fmt::Write as _;
 use std::sync::Arc;
@@ -37,7 +38,8 @@ const FOV_DEGREES: f32 = 38.0;
 const BLOCKS: u32 = 1;
 const LIGHTS: u32 = 2;
 
-/// A scene by its specification, such as `many-lights:1000` or `many-lights:1000:7` (seed 7; 1 if left out).
+/// A scene by its specification, such as `many-lights:1000` or `many-lights:1000:7` (seed 7; 1 if
+/// left out).
 ///
 /// # Errors
 /// An unknown name, or numbers that are none or out of range.
@@ -81,9 +83,10 @@ fn parse(spec: &str) -> Result<(u32, u64)> {
 
 /// The scene `many-lights:n:seed`; `n` is raised to 1 and lowered to 16 million.
 ///
-/// All emitters are shapes of one object, the light number i at place i: that is their identity. Three in four are one-sided
-/// triangles, the rest spheres. Radii and powers are log-uniform over 1.3 and 4 decades; the powers are then scaled to
-/// 900 W (luminance) in total, up to 0.1 % by rounding to the digits that the pbrt file shows. Memory and time grow linearly.
+/// All emitters are shapes of one object, the light number i at place i: that is their identity.
+/// Three in four are one-sided triangles, the rest spheres. Radii and powers are log-uniform over
+/// 1.3 and 4 decades; the powers are then scaled to 900 W (luminance) in total, up to 0.1 % by
+/// rounding to the digits that the pbrt file shows. Memory and time grow linearly.
 #[must_use]
 pub fn many_lights(n: u32, seed: u64) -> Scene {
     let n = n.clamp(1, MAX_LIGHTS);
@@ -110,7 +113,8 @@ fn stream(seed: u64, purpose: u32, index: u32) -> Stream {
     Stream::from_key(u64::from(a) | u64::from(b) << 32)
 }
 
-/// Rounded to a multiple of 1 / `steps`: the nearest float to a short decimal, which therefore prints as that decimal.
+/// Rounded to a multiple of 1 / `steps`: the nearest float to a short decimal, which therefore
+/// prints as that decimal.
 fn round(value: f32, steps: f32) -> f32 {
     (value * steps).round() / steps
 }
@@ -525,7 +529,8 @@ mod tests {
         }
     }
 
-    /// Writes the scene of the repository anew: `cargo test --release --lib write_many_lights -- --ignored`.
+    /// Writes the scene of the repository anew:
+    /// `cargo test --release --lib write_many_lights -- --ignored`.
     #[test]
     #[ignore = "writes scenes/many_lights.pbrt"]
     fn write_many_lights() {

@@ -50,7 +50,8 @@ impl Image {
         }
     }
 
-    /// Bilinear value at `at`, with (0, 0) the upper left corner, (1, 1) the lower right one, pixel centres at half pixels.
+    /// Bilinear value at `at`, with (0, 0) the upper left corner, (1, 1) the lower right one, pixel
+    /// centres at half pixels.
     #[must_use]
     pub fn bilinear(&self, at: Vec2, wrap: Wrap) -> Vec4 {
         if !at.is_finite() {
@@ -77,7 +78,8 @@ struct Axis {
 
 impl Axis {
     fn new(at: f32, size: u32, wrap: Wrap) -> Self {
-        // Repeat before scaling, so that the position inside the image keeps its precision far away from it.
+        // Repeat before scaling, so that the position inside the image keeps its precision far away
+        // from it.
         let at = if wrap == Wrap::Repeat { at - at.floor() } else { at };
         let position = at * size as f32 - 0.5;
         let low = position.floor();

@@ -60,7 +60,8 @@ pub enum SpotFalloff {
 /// How an environment image covers the sphere, in light space.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EnvironmentMapping {
-    /// Rows are polar angle from +z, columns azimuth from +x towards +y. Pixel (u, v): φ = 2π u, θ = π v.
+    /// Rows are polar angle from +z, columns azimuth from +x towards +y. Pixel (u, v): φ = 2π u,
+    /// θ = π v.
     LatitudeLongitude,
     /// Square, equal-area octahedral (Clarberg 2008; pbrt-v4).
     EqualAreaOctahedral,

@@ -17,14 +17,16 @@ pub enum Material {
         /// Albedo of transmission; per channel their sum is at most 1.
         transmittance: Color,
     },
-    /// A metal: GGX microfacets (Smith, height-correlated) with the exact conductor Fresnel term; both sides.
+    /// A metal: GGX microfacets (Smith, height-correlated) with the exact conductor Fresnel term;
+    /// both sides.
     Conductor {
         /// Its colour.
         color: ConductorColor,
         /// Of its microfacets.
         roughness: Roughness,
     },
-    /// Glass: reflection and refraction by GGX microfacets; a delta where smooth. The inside is where the normal does not point.
+    /// Glass: reflection and refraction by GGX microfacets; a delta where smooth. The inside is
+    /// where the normal does not point.
     Dielectric {
         /// Index of refraction, inside over outside; positive.
         eta: f32,
@@ -36,7 +38,8 @@ pub enum Material {
         /// Index of refraction of the pane.
         eta: f32,
     },
-    /// Lambert under a dielectric coat (an analytic plastic; deviates from pbrt's layered walk, see `docs/`).
+    /// Lambert under a dielectric coat (an analytic plastic; deviates from pbrt's layered walk, see
+    /// `docs/`).
     CoatedDiffuse {
         /// Albedo of the base.
         reflectance: Color,
@@ -45,7 +48,8 @@ pub enum Material {
         /// Of the coat's microfacets.
         roughness: Roughness,
     },
-    /// glTF 2.0's metallic-roughness surface with `KHR_materials_ior`, `_specular`, `_transmission`.
+    /// glTF 2.0's metallic-roughness surface with `KHR_materials_ior`, `_specular`,
+    /// `_transmission`.
     MetallicRoughness {
         /// Albedo of the dielectric part, F₀ of the metallic part.
         base_color: Color,

@@ -1,4 +1,5 @@
-//! A scene as it stands in a file or in a host's memory: shapes, materials, textures, lights, camera, animation.
+//! A scene as it stands in a file or in a host's memory: shapes, materials, textures, lights,
+//! camera, animation.
 //!
 //! | type | holds |
 //! |---|---|
@@ -7,8 +8,9 @@
 //! | [`Transform`] | a placement, fixed or moving; [`Scene::at`] gives the scene at one time, with fixed ones only |
 //! | [`Loaded`] | a scene and the warnings of its loader |
 //!
-//! Conventions: radiance in W·sr⁻¹·m⁻² (scene-linear RGB, Rec. 709 primaries), lengths in scene units, angles in radians. Ids are
-//! indices into the scene's own lists. Nothing here knows rays or sampling.
+//! Conventions: radiance in W·sr⁻¹·m⁻² (scene-linear RGB, Rec. 709 primaries), lengths in scene
+//! units, angles in radians. Ids are indices into the scene's own lists. Nothing here knows rays or
+//! sampling.
 
 mod camera;
 mod generate;
@@ -71,7 +73,8 @@ pub struct Scene {
     pub name: String,
     /// The picture's shape in pixels as the file asks for it: width, height.
     pub film: [u32; 2],
-    /// Path segments from the camera that the file asks for (1: emission seen directly, 2: direct light).
+    /// Path segments from the camera that the file asks for (1: emission seen directly, 2: direct
+    /// light).
     pub depth: u32,
     /// The viewer.
     pub camera: Camera,
@@ -134,12 +137,14 @@ impl Scene {
         ObjectId((self.objects.len() - 1) as u32)
     }
 
-    /// Places an object. `key` must stay the same for the same thing in every frame and differ between instances.
+    /// Places an object. `key` must stay the same for the same thing in every frame and differ
+    /// between instances.
     pub fn add_instance(&mut self, object: ObjectId, to_world: Transform, key: u64) {
         self.instances.push(Instance { object, to_world, key });
     }
 
-    /// Adds one shape, placed as it stands, as an object of its own. Its key is the number of instances so far.
+    /// Adds one shape, placed as it stands, as an object of its own. Its key is the number of
+    /// instances so far.
     pub fn add_shape(&mut self, shape: Shape) {
         let object = self.add_object(Object { name: String::new(), shapes: vec![shape] });
         self.add_instance(object, Transform::IDENTITY, self.instances.len() as u64);
@@ -153,7 +158,8 @@ impl Scene {
             || self.lights.iter().any(|l| l.to_world.moves())
     }
 
-    /// The scene at `time` seconds, clamped to [`Scene::time`]: every transform is fixed. Geometry and images are shared, not copied.
+    /// The scene at `time` seconds, clamped to [`Scene::time`]: every transform is fixed. Geometry
+    /// and images are shared, not copied.
     #[must_use]
     pub fn at(&self, time: f32) -> Self {
         let time = time.clamp(self.time[0], self.time[1]);
@@ -174,6 +180,7 @@ impl Scene {
 pub struct Loaded {
     /// The scene, valid.
     pub scene: Scene,
-    /// Each names the file and line or the JSON path, what was found, and what was done about it. Never repeated.
+    /// Each names the file and line or the JSON path, what was found, and what was done about it.
+    /// Never repeated.
     pub warnings: Vec<String>,
 }

@@ -64,8 +64,8 @@ pub struct Shape {
     pub emission: Option<Emission>,
     /// Coverage in [0, 1]; `None` is 1. A ray passes with probability 1 − alpha.
     pub alpha: Option<Scalar>,
-    /// Whether the geometric normal is turned around (pbrt's `ReverseOrientation`). Of no effect on a mesh with vertex normals: there the
-    /// geometric normal points to their side.
+    /// Whether the geometric normal is turned around (pbrt's `ReverseOrientation`). Of no effect on
+    /// a mesh with vertex normals: there the geometric normal points to their side.
     pub reverse_orientation: bool,
 }
 

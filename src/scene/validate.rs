@@ -13,19 +13,22 @@ use crate::error::{Error, Result};
 /// Pixels of a film: 2³¹, so that a pixel's index fits 32 bits with room for a sign.
 const MAX_PIXELS: u64 = 1 << 31;
 
-/// How far the length of a unit vector may be from 1: text files print six digits, averaged normals carry rounding.
+/// How far the length of a unit vector may be from 1: text files print six digits, averaged normals
+/// carry rounding.
 const UNIT_TOLERANCE: f32 = 1e-2;
 
 /// How far rounding may carry a sum of albedos above 1.
 const ALBEDO_TOLERANCE: f32 = 4.0 * f32::EPSILON;
 
 impl Scene {
-    /// Checks everything that rendering relies on: ids in range, textures and mixes that refer to earlier ones, finite numbers, albedos
-    /// and shares in [0, 1], positive radii and indices of refraction, unit normals, mesh arrays of matching length, unique keys, film,
-    /// field of view and placements that can be inverted.
+    /// Checks everything that rendering relies on: ids in range, textures and mixes that refer to
+    /// earlier ones, finite numbers, albedos and shares in [0, 1], positive radii and indices of
+    /// refraction, unit normals, mesh arrays of matching length, unique keys, film, field of view
+    /// and placements that can be inverted.
     ///
     /// # Errors
-    /// The first violation, with the index of the thing that violates, what it is and what is allowed.
+    /// The first violation, with the index of the thing that violates, what it is and what is
+    /// allowed.
     pub fn validate(&self) -> Result<()> {
         self.validate_film_and_camera()?;
         self.validate_images()?;
@@ -205,7 +208,8 @@ impl Scene {
                 double_sided: _,
             } => {
                 self.check_color("base colour", base_color, 1.0)?;
-                // A tint may exceed 1: the reflectance at normal incidence is clamped (KHR_materials_specular).
+                // A tint may exceed 1: the reflectance at normal incidence is clamped
+                // (KHR_materials_specular).
                 self.check_color("specular colour", specular_color, f32::MAX)?;
                 for (name, value) in [
                     ("metallic", metallic),

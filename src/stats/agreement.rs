@@ -1,14 +1,17 @@
-//! Is a picture right wherever one looks? Every part must be shown to be equivalent; any part may be shown to differ.
+//! Is a picture right wherever one looks? Every part must be shown to be equivalent; any part may
+//! be shown to differ.
 //!
-//! A [`Part`] is one mean that is compared: a quantity (luminance, red, green, blue) of the image or of a tile, at one age. Two
-//! questions are asked of all parts together, and they need different corrections.
+//! A [`Part`] is one mean that is compared: a quantity (luminance, red, green, blue) of the image
+//! or of a tile, at one age. Two questions are asked of all parts together, and they need different
+//! corrections.
 //!
-//! *Pass* says "all parts lie within their margins". It errs if at least one part does not, and then that part's own test must have
-//! erred: P(all tests reject) ≤ P(the test of that one part rejects) ≤ α. This is an intersection-union test (Berger 1982); every
-//! part is tested at α itself, under any dependence. Dividing α by the number of parts would only cost power.
+//! *Pass* says "all parts lie within their margins". It errs if at least one part does not, and
+//! then that part's own test must have erred: P(all tests reject) ≤ P(the test of that one part
+//! rejects) ≤ α. This is an intersection-union test (Berger 1982); every part is tested at α
+//! itself, under any dependence. Dividing α by the number of parts would only cost power.
 //!
-//! *Fail* says "some part differs". It errs if any of many tests of equal means rejects, so chances add up: Holm (1979) over all
-//! parts, under any dependence.
+//! *Fail* says "some part differs". It errs if any of many tests of equal means rejects, so chances
+//! add up: Holm (1979) over all parts, under any dependence.
 
 use super::{Margin, MeanTest, Verdict, equivalence, holm};
 
@@ -19,7 +22,8 @@ pub struct Tolerance {
     pub image: f64,
     /// δ of a tile as a share of the tile's mean.
     pub tile: f64,
-    /// A tile's mean counts as at least this share of the image's: nobody needs a black tile to 1 % of its own light.
+    /// A tile's mean counts as at least this share of the image's: nobody needs a black tile to 1 %
+    /// of its own light.
     pub tile_floor: f64,
     /// Probability to pass a picture of which any part is off by its margin or more.
     pub equivalence_alpha: f64,
@@ -28,7 +32,8 @@ pub struct Tolerance {
 }
 
 impl Tolerance {
-    /// δ for the image, 2 δ for tiles of at least a tenth of the image's mean; passes at 10⁻³, fails at 10⁻⁴.
+    /// δ for the image, 2 δ for tiles of at least a tenth of the image's mean; passes at 10⁻³,
+    /// fails at 10⁻⁴.
     #[must_use]
     pub fn of(delta: f64) -> Self {
         Self {
@@ -77,8 +82,8 @@ pub struct Part {
     pub quantity: Quantity,
     /// The difference from the reference.
     pub test: MeanTest,
-    /// What relative figures are shares of; a channel's is at least the luminance's, so that a dark channel need not be known more
-    /// accurately than the picture.
+    /// What relative figures are shares of; a channel's is at least the luminance's, so that a dark
+    /// channel need not be known more accurately than the picture.
     pub scale: f64,
     /// Share of `scale` that the bias may have.
     pub delta: f64,
@@ -99,7 +104,8 @@ impl Part {
         (share(low), share(high))
     }
 
-    /// How far the interval reaches, in margins: a pass means below 1. The worst part is the one that reaches farthest.
+    /// How far the interval reaches, in margins: a pass means below 1. The worst part is the one
+    /// that reaches farthest.
     #[must_use]
     pub fn reach(&self, confidence: f64) -> f64 {
         let (low, high) = self.relative_interval(confidence);
@@ -119,9 +125,11 @@ pub struct Agreement {
 
 /// Judges all parts together; see the module's head. A part
 ///
-/// - fails where it is not finite, or where Holm's procedure finds that it differs and the difference is above half its margin;
+/// - fails where it is not finite, or where Holm's procedure finds that it differs and the
+///   difference is above half its margin;
 /// - passes where both one-sided tests at `equivalence_alpha` place it inside its margin;
-/// - is undecided otherwise, and always where it is [too skewed](MeanTest::heavy_tailed) for Student's law.
+/// - is undecided otherwise, and always where it is [too skewed](MeanTest::heavy_tailed) for
+///   Student's law.
 ///
 /// No parts at all decide nothing.
 #[must_use]
@@ -164,7 +172,8 @@ mod tests {
 
     #[test]
     fn one_undecided_part_spoils_a_pass_and_one_certain_difference_fails() {
-        // Normal law: z = 3.09 leaves 10⁻³. 0.5 % / 0.15 % = 3.33 passes, 0.5 % / 0.17 % = 2.94 does not.
+        // Normal law: z = 3.09 leaves 10⁻³. 0.5 % / 0.15 % = 3.33 passes, 0.5 % / 0.17 % = 2.94
+        // does not.
         let good = part(0.0, 0.0015);
         assert_eq!(verdict(&[good; 100]), Verdict::Pass);
         let mut parts = vec![good; 99];
@@ -219,7 +228,8 @@ mod tests {
         };
         let tolerance =
             Tolerance { equivalence_alpha: 0.05, difference_alpha: 0.05, ..Tolerance::of(1.0) };
-        // Only the first part is off, by exactly its margin: passing is wrong in 5 % at most. The others' margin is far away.
+        // Only the first part is off, by exactly its margin: passing is wrong in 5 % at most. The
+        // others' margin is far away.
         let mut family = |bias: f64| {
             let parts: Vec<Part> = (0..10)
                 .map(|at| {

@@ -1,4 +1,5 @@
-//! Goodness of fit of samples to a density: Pearson's χ² over a grid, the integral of the density, and its support.
+//! Goodness of fit of samples to a density: Pearson's χ² over a grid, the integral of the density,
+//! and its support.
 //!
 //! | symbol | meaning |
 //! |---|---|
@@ -6,8 +7,9 @@
 //! | N | number of samples |
 //! | I | ∫ pdf over the domain |
 //!
-//! χ² compares shapes only; a pdf wrong by a constant factor passes it. So I is compared with 1 separately, and every sample must
-//! have a positive pdf. The expected counts come from adaptive quadrature: a fixed 8 × 8 rule rejects correct narrow lobes.
+//! χ² compares shapes only; a pdf wrong by a constant factor passes it. So I is compared with 1
+//! separately, and every sample must have a positive pdf. The expected counts come from adaptive
+//! quadrature: a fixed 8 × 8 rule rejects correct narrow lobes.
 
 use core::f64::consts::PI;
 use core::fmt;
@@ -21,19 +23,21 @@ const MIN_EXPECTED: f64 = 5.0;
 /// The result of Pearson's χ² test.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ChiSquare {
-    /// X² = Σ (Oᵢ − Eᵢ)² / Eᵢ over the cells after pooling; infinite if something was observed where nothing can be.
+    /// X² = Σ (Oᵢ − Eᵢ)² / Eᵢ over the cells after pooling; infinite if something was observed
+    /// where nothing can be.
     pub statistic: f64,
     /// Degrees of freedom: cells after pooling, minus one.
     pub dof: usize,
-    /// Probability of a statistic at least this large if the samples follow the expectation; 1 if `dof` is 0, unless the
-    /// statistic is infinite (then 0).
+    /// Probability of a statistic at least this large if the samples follow the expectation; 1 if
+    /// `dof` is 0, unless the statistic is infinite (then 0).
     pub p: f64,
 }
 
 /// Pearson's χ² test of counts against expectations (Pearson 1900).
 ///
-/// `expected` may have any positive scale: it is scaled to the sum of `observed`. Cells expecting fewer than 5 are pooled, and
-/// the pool, if it stays below 5, joins the smallest other cell. A count in a cell of expectation 0 gives p = 0.
+/// `expected` may have any positive scale: it is scaled to the sum of `observed`. Cells expecting
+/// fewer than 5 are pooled, and the pool, if it stays below 5, joins the smallest other cell. A
+/// count in a cell of expectation 0 gives p = 0.
 ///
 /// # Panics
 ///
@@ -84,12 +88,13 @@ pub fn chi_square(observed: &[u64], expected: &[f64]) -> ChiSquare {
 
 /// The grid of a [`DensityCheck`] and how many samples it draws.
 ///
-/// A coarse grid (20 × 20) has more power against smooth errors than a fine one; run both where it matters. With N = 10⁶, α =
-/// 10⁻⁶ and
-/// 400 cells, a relative density error of 1.6 % (rms) is found with probability 0.99.
+/// A coarse grid (20 × 20) has more power against smooth errors than a fine one; run both where it
+/// matters. With N = 10⁶, α = 10⁻⁶ and 400 cells, a relative density error of 1.6 % (rms) is found
+/// with probability 0.99.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Grid {
-    /// Cells along cos θ (sphere) or y (square). Even on the sphere, so that the horizon is a cell border.
+    /// Cells along cos θ (sphere) or y (square). Even on the sphere, so that the horizon is a cell
+    /// border.
     pub rows: usize,
     /// Cells along φ (sphere) or x (square).
     pub columns: usize,
@@ -131,7 +136,8 @@ pub struct DensityCheck {
 impl DensityCheck {
     /// Whether nothing contradicts the pdf: χ² at level `alpha`, support, integral, finiteness.
     ///
-    /// The integral must equal the share of draws that were not discarded, within the tolerance plus 5 binomial standard errors.
+    /// The integral must equal the share of draws that were not discarded, within the tolerance
+    /// plus 5 binomial standard errors.
     #[must_use]
     pub fn agrees(&self, alpha: f64) -> bool {
         let n = self.samples as f64;
@@ -164,7 +170,8 @@ impl fmt::Display for DensityCheck {
 
 /// Compares samples on the unit square with their pdf (per unit area).
 ///
-/// `draw` returns `None` where the sampler gives up; then the pdf must integrate to the share of the other draws.
+/// `draw` returns `None` where the sampler gives up; then the pdf must integrate to the share of
+/// the other draws.
 #[must_use]
 pub fn check_square(
     grid: Grid,
@@ -186,8 +193,8 @@ pub fn check_square(
 
 /// Compares sampled directions with their pdf per solid angle, binned over (φ, cos θ) around +z.
 ///
-/// `draw` returns `None` where the sampler gives up (a direction below the horizon); then the pdf must integrate to the share of
-/// the other draws.
+/// `draw` returns `None` where the sampler gives up (a direction below the horizon); then the pdf
+/// must integrate to the share of the other draws.
 ///
 /// ```
 /// use afterimage::math::rng::{RandomSource, Stream};
@@ -216,7 +223,8 @@ pub fn check_sphere(
                 let unit = d.is_finite() && (d.length_squared() - 1.0).abs() < 1e-4;
                 let place = unit.then(|| {
                     let [x, y, z] = d.to_array().map(f64::from);
-                    // 1 − |z| from x and y: z alone is rounded to 6e-8, coarser than a narrow lobe at the pole.
+                    // 1 − |z| from x and y: z alone is rounded to 6e-8, coarser than a narrow lobe
+                    // at the pole.
                     let from_pole = 0.5 * (x * x + y * y) / (1.0 + z.abs());
                     let v = if z > 0.0 { 1.0 - from_pole } else { from_pole };
                     [(y.atan2(x) / (2.0 * PI)).rem_euclid(1.0), v.clamp(0.0, 1.0)]
@@ -234,7 +242,8 @@ pub fn check_sphere(
     )
 }
 
-/// `draw` gives the place on the unit square (None: invalid) and the sample's pdf; `density` is per unit area of that square.
+/// `draw` gives the place on the unit square (None: invalid) and the sample's pdf; `density` is per
+/// unit area of that square.
 fn check(
     grid: Grid,
     mut draw: impl FnMut() -> Option<(Option<[f64; 2]>, f64)>,
@@ -286,13 +295,15 @@ fn check(
     }
 }
 
-/// Subdivisions over all cells: bounds the time on a pdf that no quadrature integrates (2²² blocks, 67 million evaluations).
+/// Subdivisions over all cells: bounds the time on a pdf that no quadrature integrates (2²² blocks,
+/// 67 million evaluations).
 const MAX_BLOCKS: u32 = 1 << 22;
 
 /// Smallest block: 2⁻²⁶ of a cell. A lobe of κ = 10⁷ around a pole fills 10⁻⁶ of a cell.
 const MAX_DEPTH: u32 = 26;
 
-/// Quadrature error of a cell in standard deviations of its count: adds at most 10⁻⁴ to the cell's share of X².
+/// Quadrature error of a cell in standard deviations of its count: adds at most 10⁻⁴ to the cell's
+/// share of X².
 const CELL_ERROR: f64 = 0.01;
 
 /// Gauss–Legendre nodes and weights of four points on [0, 1].
@@ -318,16 +329,17 @@ struct Quadrature<D> {
 
 impl<D: Fn([f64; 2]) -> f64> Quadrature<D> {
     fn cell(&mut self, block: Block, places: &mut [[f64; 2]]) -> f64 {
-        // The tolerance needs the cell's probability before it is known; its share of samples will do, as it only sets the
-        // effort.
+        // The tolerance needs the cell's probability before it is known; its share of samples will
+        // do, as it only sets the effort.
         let count = places.len() as f64;
         let tolerance = CELL_ERROR * count.max(1.0).sqrt() / self.samples;
         let coarse = self.gauss(block);
         self.refine(block, coarse, places, tolerance, 0)
     }
 
-    /// Subdivides while halving changes the integral, or while it disagrees with the samples inside. The latter finds peaks
-    /// between the nodes; it can only make the integral more accurate, never bring a wrong pdf closer to the samples.
+    /// Subdivides while halving changes the integral, or while it disagrees with the samples
+    /// inside. The latter finds peaks between the nodes; it can only make the integral more
+    /// accurate, never bring a wrong pdf closer to the samples.
     fn refine(
         &mut self,
         block: Block,
@@ -355,7 +367,8 @@ impl<D: Fn([f64; 2]) -> f64> Quadrature<D> {
         let (c, d) = partition(upper, |p| p[0] < middle[0]);
         let mut sum = 0.0;
         for ((child, part), places) in children.into_iter().zip(parts).zip([a, b, c, d]) {
-            // Along an edge of the pdf 2^depth blocks have errors of random sign, which add as their root.
+            // Along an edge of the pdf 2^depth blocks have errors of random sign, which add as
+            // their root.
             sum += self.refine(
                 child,
                 part,
@@ -403,7 +416,8 @@ mod tests {
 
     #[test]
     fn matches_scipy() {
-        // SciPy 1.x: scipy.stats.chisquare([16, 18, 16, 14, 12, 12]) and with f_exp = [16, 16, 16, 16, 16, 8].
+        // SciPy 1.x: scipy.stats.chisquare([16, 18, 16, 14, 12, 12]) and with f_exp = [16, 16, 16,
+        // 16, 16, 8].
         let observed = [16, 18, 16, 14, 12, 12];
         let even = chi_square(&observed, &[1.0; 6]);
         assert!((even.statistic - 2.0).abs() < 1e-12 && even.dof == 5, "{even:?}");
@@ -427,7 +441,8 @@ mod tests {
         assert_eq!(chi_square(&[0, 0], &[1.0, 0.0]).p, 1.0);
     }
 
-    /// A direction of a von Mises–Fisher lobe around `frame`'s normal, with the log1p form of Jakob (2012).
+    /// A direction of a von Mises–Fisher lobe around `frame`'s normal, with the log1p form of Jakob
+    /// (2012).
     fn draw_lobe(kappa: f64, frame: crate::math::Frame, stream: &mut Stream) -> Vec3 {
         let u = (f64::from(stream.word()) + 0.5) / 4_294_967_296.0;
         let v = 2.0 * PI * (f64::from(stream.word()) + 0.5) / 4_294_967_296.0;

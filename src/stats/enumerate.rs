@@ -1,4 +1,5 @@
-//! Exact expectations: run a random algorithm once for every outcome of its draws, with exact probabilities.
+//! Exact expectations: run a random algorithm once for every outcome of its draws, with exact
+//! probabilities.
 
 use core::fmt;
 use core::ops::{Add, Mul, Neg, Sub};
@@ -7,8 +8,8 @@ use crate::math::rng::RandomSource;
 
 /// An exact fraction, always reduced, with a positive denominator.
 ///
-/// Both parts are `i128`. Arithmetic that overflows panics; sums and products of weights that are small integers or dyadic
-/// fractions stay far below.
+/// Both parts are `i128`. Arithmetic that overflows panics; sums and products of weights that are
+/// small integers or dyadic fractions stay far below.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Rational {
     numerator: i128,
@@ -161,7 +162,8 @@ impl fmt::Debug for Rational {
     }
 }
 
-/// A number that probabilities are counted in: [`Rational`], exact while it fits, or `f64`, for weights of any size.
+/// A number that probabilities are counted in: [`Rational`], exact while it fits, or `f64`, for
+/// weights of any size.
 pub trait Probability:
     Copy + fmt::Debug + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self>
 {
@@ -214,8 +216,9 @@ pub struct Outcome<T, P = Rational> {
 
 /// A random source that takes every branch in turn; made by [`enumerate`] and [`enumerate_f64`].
 ///
-/// [`choose`](RandomSource::choose) forks in two unless one side is impossible, [`index`](RandomSource::index) in `n`,
-/// [`uniform`](RandomSource::uniform) in the given number of strata.
+/// [`choose`](RandomSource::choose) forks in two unless one side is impossible,
+/// [`index`](RandomSource::index) in `n`, [`uniform`](RandomSource::uniform) in the given number of
+/// strata.
 #[derive(Debug)]
 pub struct Enumerator<P = Rational> {
     strata: u32,
@@ -281,14 +284,16 @@ impl<P: Probability> RandomSource for Enumerator<P> {
     }
 }
 
-/// Runs `algorithm` once for every outcome of its random draws; returns all with their exact probabilities.
+/// Runs `algorithm` once for every outcome of its random draws; returns all with their exact
+/// probabilities.
 ///
-/// The algorithm must take all its randomness from the source. The number of runs is the product of the forks along each
-/// path: keep domains to a handful of states.
+/// The algorithm must take all its randomness from the source. The number of runs is the product of
+/// the forks along each path: keep domains to a handful of states.
 ///
 /// # Panics
 ///
-/// If a probability overflows [`Rational`], or the algorithm draws [`uniform`](RandomSource::uniform).
+/// If a probability overflows [`Rational`], or the algorithm draws
+/// [`uniform`](RandomSource::uniform).
 ///
 /// ```
 /// use afterimage::math::rng::RandomSource;
@@ -303,8 +308,8 @@ pub fn enumerate<T>(algorithm: impl FnMut(&mut Enumerator) -> T) -> Vec<Outcome<
     enumerate_stratified(0, algorithm)
 }
 
-/// As [`enumerate`], where [`uniform`](RandomSource::uniform) returns the midpoints of `strata` equal intervals: exact for what
-/// is constant within each interval.
+/// As [`enumerate`], where [`uniform`](RandomSource::uniform) returns the midpoints of `strata`
+/// equal intervals: exact for what is constant within each interval.
 #[must_use]
 pub fn enumerate_stratified<T>(
     strata: u32,
@@ -313,8 +318,8 @@ pub fn enumerate_stratified<T>(
     run(strata, algorithm)
 }
 
-/// As [`enumerate`], with probabilities in `f64`, right to about 10⁻¹⁵ a fork: for algorithms that compute their weights in `f32`, whose
-/// exact fractions soon need more than 128 bits.
+/// As [`enumerate`], with probabilities in `f64`, right to about 10⁻¹⁵ a fork: for algorithms that
+/// compute their weights in `f32`, whose exact fractions soon need more than 128 bits.
 ///
 /// ```
 /// use afterimage::math::rng::RandomSource;
@@ -420,7 +425,8 @@ mod tests {
         assert!((expectation(&heads, |&n| n as f64) - mean).abs() < 1e-14);
     }
 
-    // The 1/M toy: four states, targets of pixels a and b with different supports, uniform candidates.
+    // The 1/M toy: four states, targets of pixels a and b with different supports, uniform
+    // candidates.
     const F_A: [i32; 4] = [4, 1, 0, 2];
     const F_B: [i32; 4] = [1, 3, 5, 0];
 

@@ -6,8 +6,9 @@
 //! | SE, ν | its standard error and degrees of freedom |
 //! | δ | margin of equivalence |
 //!
-//! "Not significant" is not evidence of equality: a test with too few samples is never significant. So [`Equivalence`] has three
-//! outcomes. Papers: Welch 1947, Schuirmann 1987 (two one-sided tests).
+//! "Not significant" is not evidence of equality: a test with too few samples is never significant.
+//! So [`Equivalence`] has three outcomes. Papers: Welch 1947, Schuirmann 1987 (two one-sided
+//! tests).
 
 use core::fmt;
 
@@ -35,7 +36,8 @@ impl Estimate {
         Self::with_variance(mean, 0.0, f64::INFINITY)
     }
 
-    /// A stored mean with the variance of that mean and the variance's degrees of freedom; its skewness counts as 0.
+    /// A stored mean with the variance of that mean and the variance's degrees of freedom; its
+    /// skewness counts as 0.
     #[must_use]
     pub const fn with_variance(mean: f64, variance: f64, dof: f64) -> Self {
         Self { mean, variance, dof, skewness: 0.0, skewness_error: 0.0 }
@@ -59,7 +61,8 @@ pub struct MeanTest {
     pub dof: f64,
     /// t = b̂ / SE.
     pub statistic: f64,
-    /// Two-sided p of t under equal means. 1 where a variance is unknown, 0 where a mean is not finite.
+    /// Two-sided p of t under equal means. 1 where a variance is unknown, 0 where a mean is not
+    /// finite.
     pub p: f64,
     /// Skewness of b̂; with equal counts that of two alike samplers cancels.
     pub skewness: f64,
@@ -67,12 +70,13 @@ pub struct MeanTest {
     pub skewness_error: f64,
 }
 
-/// Whether two means differ, with variances that may differ: t = (x̄₁ − x̄₂) / √(v₁ + v₂) with v the variances of the means and
-/// ν = (v₁ + v₂)² / (v₁²/ν₁ + v₂²/ν₂) (Welch 1947).
+/// Whether two means differ, with variances that may differ: t = (x̄₁ − x̄₂) / √(v₁ + v₂) with v
+/// the variances of the means and ν = (v₁ + v₂)² / (v₁²/ν₁ + v₂²/ν₂) (Welch 1947).
 ///
-/// Serves samples ([`super::Moments::estimate`]), stored references with few degrees of freedom ([`Estimate::with_variance`]) and
-/// known answers ([`Estimate::exact`], which makes it the one-sample t test). Prefer equal sample counts for heavy-tailed
-/// samples: then the false-alarm rate stays at or below nominal, while the one-sample test's can be a hundred times too high,
+/// Serves samples ([`super::Moments::estimate`]), stored references with few degrees of freedom
+/// ([`Estimate::with_variance`]) and known answers ([`Estimate::exact`], which makes it the
+/// one-sample t test). Prefer equal sample counts for heavy-tailed samples: then the false-alarm
+/// rate stays at or below nominal, while the one-sample test's can be a hundred times too high,
 /// always towards "too dark".
 #[must_use]
 pub fn welch(a: &Estimate, b: &Estimate) -> MeanTest {
@@ -126,9 +130,10 @@ impl MeanTest {
 
     /// Whether the difference is too skewed for Student's law in its tails.
     ///
-    /// An Edgeworth expansion puts the relative error of a tail probability near γ (2z² + 1) z / (6 √n): n samples of
-    /// skewness γ need n ≥ 400 γ² at α = 10⁻⁴, that is |γ of the mean| ≤ 1/20. Only what exceeds two standard deviations of the
-    /// estimated skewness counts, or no set of fewer than a hundred restarts would ever decide.
+    /// An Edgeworth expansion puts the relative error of a tail probability near γ (2z² + 1) z / (6
+    /// √n): n samples of skewness γ need n ≥ 400 γ² at α = 10⁻⁴, that is |γ of the mean| ≤ 1/20.
+    /// Only what exceeds two standard deviations of the estimated skewness counts, or no set of
+    /// fewer than a hundred restarts would ever decide.
     #[must_use]
     pub fn heavy_tailed(&self) -> bool {
         self.skewness.abs() > 0.05 + 2.0 * self.skewness_error
@@ -206,8 +211,8 @@ pub struct Equivalence {
 /// - pass: the (1 − 2α) interval of b̂ lies within ±δ;
 /// - inconclusive: neither, or the difference is [heavy-tailed](MeanTest::heavy_tailed).
 ///
-/// Where both of the first hold (a small but certain difference, beyond half the margin) it is a fail. A mean that is not finite
-/// fails.
+/// Where both of the first hold (a small but certain difference, beyond half the margin) it is a
+/// fail. A mean that is not finite fails.
 #[must_use]
 pub fn equivalence(test: &MeanTest, margin: &Margin) -> Equivalence {
     let interval = test.interval(1.0 - 2.0 * margin.equivalence_alpha);
@@ -247,7 +252,8 @@ pub(crate) fn t_sf(t: f64, dof: f64) -> f64 {
 
 /// The value that Student's T exceeds with probability `tail` < 0.5.
 fn t_quantile(tail: f64, dof: f64) -> f64 {
-    // Bisection of the survival function: exact in the far tail, where inverting the cdf at 1 − tail is not.
+    // Bisection of the survival function: exact in the far tail, where inverting the cdf at 1 −
+    // tail is not.
     let (mut low, mut high) = (0.0, 1.0);
     while t_sf(high, dof) > tail && high < f64::MAX / 4.0 {
         low = high;
@@ -288,7 +294,8 @@ mod tests {
 
     #[test]
     fn welch_and_student_match_scipy() {
-        // SciPy 1.17: r = scipy.stats.ttest_ind(A, B, equal_var=False); r.statistic, r.df, r.pvalue, r.confidence_interval(0.98)
+        // SciPy 1.17: r = scipy.stats.ttest_ind(A, B, equal_var=False); r.statistic, r.df,
+        // r.pvalue, r.confidence_interval(0.98)
         let test = welch(&of(&A), &of(&B));
         near(test.statistic, -4.150_809_781_272_934);
         near(test.dof, 5.620_522_689_260_925);
@@ -303,7 +310,8 @@ mod tests {
 
     #[test]
     fn far_tails_match_scipy() {
-        // SciPy 1.17: scipy.stats.t.sf(6.5, 15), t.sf(40, 15), norm.sf(10); t.isf(1e-7, 15), t.isf(0.005, 3.5), norm.isf(1e-12).
+        // SciPy 1.17: scipy.stats.t.sf(6.5, 15), t.sf(40, 15), norm.sf(10); t.isf(1e-7, 15),
+        // t.isf(0.005, 3.5), norm.isf(1e-12).
         near(t_sf(6.5, 15.0), 5.015_192_559_730_179e-06);
         near(t_sf(40.0, 15.0), 5.845_330_620_433_193e-17);
         near(t_sf(10.0, f64::INFINITY), 7.619_853_024_160_47e-24);
@@ -351,8 +359,8 @@ mod tests {
 
     #[test]
     fn false_alarms_of_welch_are_at_their_nominal_rate() {
-        // 4000 tests of equal means, variances 1 : 9, counts 8 : 20, alpha 0.05: 200 +- 13.8, 4.5 sigma. The control treats t as
-        // normal.
+        // 4000 tests of equal means, variances 1 : 9, counts 8 : 20, alpha 0.05: 200 +- 13.8, 4.5
+        // sigma. The control treats t as normal.
         let mut stream = Stream::from_key(21);
         let mut normal = move || {
             let u = (f64::from(stream.word()) + 0.5) / 4_294_967_296.0;
@@ -373,7 +381,8 @@ mod tests {
 
     #[test]
     fn heavy_tails_are_inconclusive_alone_and_cancel_in_pairs() {
-        // Log-normal, sigma = 2, n = 2000: skewness in the hundreds; an exact mean meets it as "too dark" far too often.
+        // Log-normal, sigma = 2, n = 2000: skewness in the hundreds; an exact mean meets it as "too
+        // dark" far too often.
         let mut stream = Stream::from_key(22);
         let mut sample = || -> Moments {
             (0..2000)

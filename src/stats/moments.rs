@@ -4,8 +4,9 @@ use super::Estimate;
 
 /// Count, mean, and second and third central sums of a sample, in f64 and in one pass.
 ///
-/// Welford's (1962) update, with Chan, Golub and `LeVeque`'s (1983) merge and its third-order form (Pébay 2008, eq. 2.1). Nothing
-/// is trimmed: an outlier belongs to the estimate, and a value that is not finite makes every moment NaN.
+/// Welford's (1962) update, with Chan, Golub and `LeVeque`'s (1983) merge and its third-order form
+/// (Pébay 2008, eq. 2.1). Nothing is trimmed: an outlier belongs to the estimate, and a value that
+/// is not finite makes every moment NaN.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Moments {
     count: u64,
@@ -60,7 +61,8 @@ impl Moments {
         self.mean
     }
 
-    /// Unbiased variance s² = Σ(x − x̄)² / (n − 1) of one sample; infinite, that is unknown, for fewer than two.
+    /// Unbiased variance s² = Σ(x − x̄)² / (n − 1) of one sample; infinite, that is unknown, for
+    /// fewer than two.
     #[must_use]
     pub fn variance(&self) -> f64 {
         if self.count < 2 { f64::INFINITY } else { self.m2 / (self.count - 1) as f64 }
@@ -102,12 +104,13 @@ impl FromIterator<f64> for Moments {
     }
 }
 
-/// The mean of a correlated series, with a variance from means over consecutive batches: σ̂² of a batch mean, divided by the
-/// number of batches (Law and Kelton 2000, section 9.5.3).
+/// The mean of a correlated series, with a variance from means over consecutive batches: σ̂² of a
+/// batch mean, divided by the number of batches (Law and Kelton 2000, section 9.5.3).
 ///
-/// Trust it only where a batch is at least 5 to 10 autocorrelation times long: with τ = 41 and 20 batches, a nominal false-alarm
-/// rate of 10⁻³ is 39 times too high at half a τ and 1.4 times at 5 τ. Independent restarts need no such care. A remainder that
-/// fills no batch is left out of the variance and the mean.
+/// Trust it only where a batch is at least 5 to 10 autocorrelation times long: with τ = 41 and 20
+/// batches, a nominal false-alarm rate of 10⁻³ is 39 times too high at half a τ and 1.4 times at 5
+/// τ. Independent restarts need no such care. A remainder that fills no batch is left out of the
+/// variance and the mean.
 ///
 /// # Panics
 ///
@@ -174,7 +177,8 @@ mod tests {
 
     #[test]
     fn batch_means_see_the_correlation_that_single_values_hide() {
-        // AR(1) with rho = 0.9: the variance of the mean is (1 + rho) / (1 - rho) = 19 times that of independent values.
+        // AR(1) with rho = 0.9: the variance of the mean is (1 + rho) / (1 - rho) = 19 times that
+        // of independent values.
         let mut stream = Stream::from_key(11);
         let mut ratio = Moments::new();
         for _ in 0..50 {
@@ -188,7 +192,8 @@ mod tests {
             let naive = series.iter().copied().collect::<Moments>().estimate();
             ratio.push(batch_means(&series, 20).variance / naive.variance);
         }
-        // One ratio has relative deviation sqrt(2 / 19); batches of 1000 = 53 tau bias it by 1 %. 4 sigma.
+        // One ratio has relative deviation sqrt(2 / 19); batches of 1000 = 53 tau bias it by 1 %. 4
+        // sigma.
         assert!((ratio.mean() / 19.0 - 1.0).abs() < 0.19, "{}", ratio.mean());
     }
 }

@@ -1,11 +1,13 @@
-//! Many tests at once: corrections, two stages, whole distributions, and how many samples a test needs.
+//! Many tests at once: corrections, two stages, whole distributions, and how many samples a test
+//! needs.
 
 use statrs::distribution::{ContinuousCDF, Normal};
 
-/// Which hypotheses to reject so that the probability of any false rejection is at most `alpha`, under any dependence (Holm
-/// 1979).
+/// Which hypotheses to reject so that the probability of any false rejection is at most `alpha`,
+/// under any dependence (Holm 1979).
 ///
-/// The smallest p is compared with α/m, the next with α/(m − 1), and so on until one is not smaller. A p that is NaN counts as 0.
+/// The smallest p is compared with α/m, the next with α/(m − 1), and so on until one is not
+/// smaller. A p that is NaN counts as 0.
 #[must_use]
 pub fn holm(p: &[f64], alpha: f64) -> Vec<bool> {
     let mut rejected = vec![false; p.len()];
@@ -18,7 +20,8 @@ pub fn holm(p: &[f64], alpha: f64) -> Vec<bool> {
     rejected
 }
 
-/// Which hypotheses to reject so that at most a share `q` of the rejections is false on average (Benjamini and Hochberg 1995).
+/// Which hypotheses to reject so that at most a share `q` of the rejections is false on average
+/// (Benjamini and Hochberg 1995).
 ///
 /// For maps that a person looks at; gates use [`holm`].
 #[must_use]
@@ -45,7 +48,8 @@ fn zero_if_nan(p: f64) -> f64 {
     if p.is_nan() { 0.0 } else { p }
 }
 
-/// The level of each of `m` independent tests whose family has level `alpha`: 1 − (1 − α)^(1/m) (Šidák 1967).
+/// The level of each of `m` independent tests whose family has level `alpha`: 1 − (1 − α)^(1/m)
+/// (Šidák 1967).
 #[must_use]
 pub fn sidak(alpha: f64, m: usize) -> f64 {
     -((-alpha).ln_1p() / m as f64).exp_m1()
@@ -68,10 +72,12 @@ pub struct TwoStage {
     pub rejected: bool,
 }
 
-/// A test of level `alpha` that pays for few samples mostly: a cheap first stage of level `alpha1`, and only where that rejects a
-/// second one, of level α/α₁, with fresh seeds and about four times the samples.
+/// A test of level `alpha` that pays for few samples mostly: a cheap first stage of level `alpha1`,
+/// and only where that rejects a second one, of level α/α₁, with fresh seeds and about four times
+/// the samples.
 ///
-/// The stages must be independent; then the false-alarm rate is α₁ · α/α₁ = α. The argument of `stage` is 1 or 2.
+/// The stages must be independent; then the false-alarm rate is α₁ · α/α₁ = α. The argument of
+/// `stage` is 1 or 2.
 ///
 /// # Panics
 ///
@@ -96,11 +102,12 @@ pub struct KolmogorovSmirnov {
     pub p: f64,
 }
 
-/// Whether values follow the uniform distribution on [0, 1]: the test for a set of p-values, which a wrong variance estimate
-/// bends.
+/// Whether values follow the uniform distribution on [0, 1]: the test for a set of p-values, which
+/// a wrong variance estimate bends.
 ///
-/// Law of Kolmogorov with Stephens' (1970) argument (√n + 0.12 + 0.11/√n) D: for p > 10⁻⁴ within 3 % of the exact p from n = 50, 17 %
-/// at n = 20. Values that are not finite give p = 0, no values p = 1.
+/// Law of Kolmogorov with Stephens' (1970) argument (√n + 0.12 + 0.11/√n) D: for p > 10⁻⁴ within
+/// 3 % of the exact p from n = 50, 17 % at n = 20. Values that are not finite give p = 0, no values
+/// p = 1.
 #[must_use]
 pub fn ks_uniform(values: &[f64]) -> KolmogorovSmirnov {
     if values.iter().any(|v| !v.is_finite()) {
@@ -120,10 +127,11 @@ pub fn ks_uniform(values: &[f64]) -> KolmogorovSmirnov {
     kolmogorov(statistic, n)
 }
 
-/// Whether two samples come from the same distribution (Smirnov 1939), for example a streaming and a batch form of one sampler.
+/// Whether two samples come from the same distribution (Smirnov 1939), for example a streaming and
+/// a batch form of one sampler.
 ///
-/// The law is for continuous distributions; with ties the test is conservative. Values that are not finite give p = 0, an empty
-/// sample p = 1.
+/// The law is for continuous distributions; with ties the test is conservative. Values that are not
+/// finite give p = 0, an empty sample p = 1.
 #[must_use]
 pub fn ks_two_sample(a: &[f64], b: &[f64]) -> KolmogorovSmirnov {
     if a.iter().chain(b).any(|v| !v.is_finite()) {
@@ -176,15 +184,16 @@ fn kolmogorov_sf(x: f64) -> f64 {
     }
 }
 
-/// Samples that find a relative bias `b` with probability `power` at two-sided level `alpha`: n = ((z(1 − α/2) + z(power)) c /
-/// b)², with c = σ/μ of one sample. Twice that where the reference is as noisy a second run.
+/// Samples that find a relative bias `b` with probability `power` at two-sided level `alpha`: n =
+/// ((z(1 − α/2) + z(power)) c / b)², with c = σ/μ of one sample. Twice that where the reference is
+/// as noisy a second run.
 #[must_use]
 pub fn samples_for_bias(bias: f64, variation: f64, alpha: f64, power: f64) -> f64 {
     (z_sum(alpha, power) * variation / bias).powi(2)
 }
 
-/// The relative bias that `n` samples find with probability `power` at two-sided level `alpha`: the inverse of
-/// [`samples_for_bias`].
+/// The relative bias that `n` samples find with probability `power` at two-sided level `alpha`: the
+/// inverse of [`samples_for_bias`].
 #[must_use]
 pub fn detectable_bias(n: f64, variation: f64, alpha: f64, power: f64) -> f64 {
     z_sum(alpha, power) * variation / n.sqrt()
@@ -213,7 +222,8 @@ mod tests {
 
     #[test]
     fn holm_keeps_its_family_level_where_no_correction_does_not() {
-        // 2000 families of 20 uniform p at alpha 0.05: at most 100 + 4.5 * 9.7 families with a rejection; uncorrected 64 %.
+        // 2000 families of 20 uniform p at alpha 0.05: at most 100 + 4.5 * 9.7 families with a
+        // rejection; uncorrected 64 %.
         let mut stream = Stream::from_key(31);
         let (mut corrected, mut raw) = (0, 0);
         for _ in 0..2000 {
@@ -257,7 +267,8 @@ mod tests {
         ] {
             assert!((kolmogorov_sf(x) / p - 1.0).abs() < 1e-9, "{x}");
         }
-        // scipy.stats.ks_2samp([.1, .4, .7, .7], [.2, .5, .7, .9, 1.1]).statistic = 0.4; kstest([.1, .4, .7], "uniform") = 0.3.
+        // scipy.stats.ks_2samp([.1, .4, .7, .7], [.2, .5, .7, .9, 1.1]).statistic = 0.4;
+        // kstest([.1, .4, .7], "uniform") = 0.3.
         let two = ks_two_sample(&[0.1, 0.4, 0.7, 0.7], &[0.2, 0.5, 0.7, 0.9, 1.1]);
         assert!((two.statistic - 0.4).abs() < 1e-12, "{two:?}");
         assert!((ks_uniform(&[0.1, 0.4, 0.7]).statistic - 0.3).abs() < 1e-12);

@@ -6,9 +6,10 @@
 //! | tile | tile mean of a restart | does any tile differ ([`Restarts::compare`])? is each surely right ([`Restarts::parts`])? |
 //! | pixel | pixel of a restart | map of p-values, to look at |
 //!
-//! Pixels of one restart are correlated wherever samples are reused, so every variance is across restarts, never across pixels
-//! or frames. Tile means are close to normal where pixels are not (Jung, Hanika, Dachsbacher 2020). Per-pixel tests alone are
-//! weak: at 2·10⁶ samples a 256² picture may be wrong by one standard deviation in every pixel and pass.
+//! Pixels of one restart are correlated wherever samples are reused, so every variance is across
+//! restarts, never across pixels or frames. Tile means are close to normal where pixels are not
+//! (Jung, Hanika, Dachsbacher 2020). Per-pixel tests alone are weak: at 2·10⁶ samples a 256²
+//! picture may be wrong by one standard deviation in every pixel and pass.
 
 use glam::Vec3;
 
@@ -100,8 +101,8 @@ trait Side {
 
 /// Moments over independent restarts of a picture: of the image, of each tile, of each pixel.
 ///
-/// A restart is a whole run with seeds of its own, judged at one frame. Restarts of the same picture may be gathered apart and
-/// [merged](Self::merge).
+/// A restart is a whole run with seeds of its own, judged at one frame. Restarts of the same
+/// picture may be gathered apart and [merged](Self::merge).
 #[derive(Clone, Debug)]
 pub struct Restarts {
     layout: Layout,
@@ -112,8 +113,8 @@ pub struct Restarts {
 }
 
 impl Restarts {
-    /// No restarts yet of a picture of `width` × `height` pixels in square tiles of `tile` pixels (32 is usual, smaller at the
-    /// borders). `mask` is true where a pixel counts.
+    /// No restarts yet of a picture of `width` × `height` pixels in square tiles of `tile` pixels
+    /// (32 is usual, smaller at the borders). `mask` is true where a pixel counts.
     ///
     /// # Errors
     ///
@@ -232,7 +233,8 @@ impl Restarts {
         Ok(compare(self, &side, &self.layout, criteria, self.count(), self.not_finite))
     }
 
-    /// Compares with restarts of another technique, `other` in the role of the reference. Equal counts serve heavy tails best.
+    /// Compares with restarts of another technique, `other` in the role of the reference. Equal
+    /// counts serve heavy tails best.
     ///
     /// # Errors
     ///
@@ -244,8 +246,9 @@ impl Restarts {
         Ok(compare(self, other, &self.layout, criteria, count, not_finite))
     }
 
-    /// Every mean that must agree with the reference: luminance, red, green and blue of the image, then of each tile. Parts of several
-    /// ages may be judged together by [`agreement`](super::agreement).
+    /// Every mean that must agree with the reference: luminance, red, green and blue of the image,
+    /// then of each tile. Parts of several ages may be judged together by
+    /// [`agreement`](super::agreement).
     ///
     /// # Errors
     ///
@@ -310,9 +313,9 @@ impl Side for Restarts {
 
 /// A stored picture to compare with: means, and how well they are known.
 ///
-/// Its pixels count as independent (path tracing without reuse). The variance of a pixel's luminance is taken as the largest that
-/// its channels allow, (Σ wᵢ σᵢ)²: channels of one path are strongly correlated, and the stored variance does not tell how
-/// strongly.
+/// Its pixels count as independent (path tracing without reuse). The variance of a pixel's
+/// luminance is taken as the largest that its channels allow, (Σ wᵢ σᵢ)²: channels of one path are
+/// strongly correlated, and the stored variance does not tell how strongly.
 #[derive(Clone, Debug)]
 pub struct Truth {
     width: usize,
@@ -335,7 +338,8 @@ impl Truth {
     ///
     /// # Errors
     ///
-    /// If a length is not `width` × `height`, a value is not finite, a variance is negative, or `dof` is below 1.
+    /// If a length is not `width` × `height`, a value is not finite, a variance is negative, or
+    /// `dof` is below 1.
     pub fn with_variance(
         width: usize,
         height: usize,
@@ -420,7 +424,8 @@ impl<'a> TruthSide<'a> {
         Self { reference, image: Self::estimates(all, reference.dof), tiles }
     }
 
-    /// Mean of independent pixels: variance Σv / n², degrees of freedom (Σv)² / Σ(v²/ν) (Satterthwaite 1946).
+    /// Mean of independent pixels: variance Σv / n², degrees of freedom (Σv)² / Σ(v²/ν)
+    /// (Satterthwaite 1946).
     fn estimates(
         [(mean, count), (variance, _), (square, _)]: [([f64; QUANTITIES], u64); 3],
         dof: f64,
@@ -453,8 +458,9 @@ impl Side for TruthSide<'_> {
 /// When a picture passes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Criteria {
-    /// δ of the image scale as a share of the reference's mean luminance; for a channel, of the larger of that and the channel's
-    /// mean, so that a dark channel need not be known more accurately than the picture.
+    /// δ of the image scale as a share of the reference's mean luminance; for a channel, of the
+    /// larger of that and the channel's mean, so that a dark channel need not be known more
+    /// accurately than the picture.
     pub delta: f64,
     /// Probability to pass a picture whose bias is exactly δ.
     pub equivalence_alpha: f64,
@@ -486,8 +492,8 @@ pub struct TileTest {
     pub x: usize,
     /// Upper row of the tile.
     pub y: usize,
-    /// Difference of mean luminance, divided by the reference's luminance of this tile (infinite if that is 0 and the difference
-    /// is not).
+    /// Difference of mean luminance, divided by the reference's luminance of this tile (infinite if
+    /// that is 0 and the difference is not).
     pub relative: f64,
     /// Two-sided p of the difference of luminance.
     pub p: f64,
@@ -500,8 +506,9 @@ pub struct TileTest {
 /// The result of comparing a picture with a reference.
 #[derive(Clone, Debug)]
 pub struct PictureTest {
-    /// Fail if the image or any tile fails or any pixel is not finite; pass if the image scale passes and no tile is rejected. A
-    /// tile that is rejected but heavy-tailed is no proof: inconclusive.
+    /// Fail if the image or any tile fails or any pixel is not finite; pass if the image scale
+    /// passes and no tile is rejected. A tile that is rejected but heavy-tailed is no proof:
+    /// inconclusive.
     pub verdict: Verdict,
     /// Image scale, mean luminance.
     pub luminance: Equivalence,
@@ -515,11 +522,13 @@ pub struct PictureTest {
     pub tiles_rejected: usize,
     /// Smallest p of the tiles' luminance, corrected by Šidák: local bias lowers it.
     pub tiles_min_p: f64,
-    /// Whether the tiles' p-values are uniform: a wrong variance or a broad bias bends them. Assumes independent tiles.
+    /// Whether the tiles' p-values are uniform: a wrong variance or a broad bias bends them.
+    /// Assumes independent tiles.
     pub tiles_uniform: KolmogorovSmirnov,
     /// Two-sided p of every pixel's luminance; NaN outside the mask.
     pub p_map: Vec<f64>,
-    /// Pixels that differ at a false discovery rate of 5 %. For looking only: single pixels are too skewed to trust.
+    /// Pixels that differ at a false discovery rate of 5 %. For looking only: single pixels are too
+    /// skewed to trust.
     pub pixels_flagged: usize,
     /// Restarts (the smaller number of two).
     pub restarts: u64,
@@ -631,7 +640,8 @@ mod tests {
     const SIZE: usize = 32;
     const PIXELS: usize = SIZE * SIZE;
 
-    /// A picture of exponential noise around a gradient, times `bias(pixel)`; noise shared by pairs of pixels, as reuse does.
+    /// A picture of exponential noise around a gradient, times `bias(pixel)`; noise shared by pairs
+    /// of pixels, as reuse does.
     fn picture(key: u64, bias: impl Fn(usize) -> Vec3) -> Vec<Vec3> {
         let mut stream = Stream::from_key(key);
         let mut shared = 1.0;
@@ -745,7 +755,8 @@ mod tests {
 
     #[test]
     fn noise_of_the_reference_counts() {
-        // A reference 1 % off whose own standard error of the image mean is 0.5 % proves nothing; an exact one does.
+        // A reference 1 % off whose own standard error of the image mean is 0.5 % proves nothing;
+        // an exact one does.
         let mean: Vec<Vec3> = (0..PIXELS).map(|i| truth(i) * 1.01).collect();
         let noise = 0.005 * (PIXELS as f32).sqrt();
         let variance = mean.iter().map(|m| (*m * noise).powf(2.0)).collect();
@@ -802,7 +813,8 @@ mod tests {
 
     #[test]
     fn tiles_must_be_shown_to_be_equivalent_and_planted_bias_fails() {
-        // Standard errors of 500 restarts: image 12.5 % / sqrt(512 · 500) = 0.025 %, tile of 128 pairs 0.05 %.
+        // Standard errors of 500 restarts: image 12.5 % / sqrt(512 · 500) = 0.025 %, tile of 128
+        // pairs 0.05 %.
         let verdict = |count: u64, base: u64, bias: fn(usize) -> Vec3| {
             let mut all = Restarts::new(SIZE, SIZE, 16, None).unwrap();
             for run in 0..count {
@@ -812,7 +824,8 @@ mod tests {
             super::super::agreement(&parts, &Tolerance::of(0.005)).verdict
         };
         assert_eq!(verdict(500, 30, |_| Vec3::ONE), Verdict::Pass);
-        // 10 restarts: the tiles' interval is 5 times as wide as their margin; nothing differs, nothing is shown.
+        // 10 restarts: the tiles' interval is 5 times as wide as their margin; nothing differs,
+        // nothing is shown.
         assert_eq!(verdict(10, 31, |_| Vec3::ONE), Verdict::Inconclusive);
         // 2 % in one tile is 0.5 % or less of the image; opposite signs cancel there altogether.
         let tiles = |i: usize| match (i % SIZE / 16, i / SIZE / 16) {
@@ -828,8 +841,9 @@ mod tests {
 
     #[test]
     fn false_alarms_stay_at_their_nominal_rate() {
-        // 200 unbiased pictures of 10 restarts, tile_alpha = difference_alpha = 0.05 on luminance: Holm keeps the tiles' family
-        // at 5 %, the image test adds at most 5 %: 20 +- 4.2, upper bound 4.5 sigma.
+        // 200 unbiased pictures of 10 restarts, tile_alpha = difference_alpha = 0.05 on luminance:
+        // Holm keeps the tiles' family at 5 %, the image test adds at most 5 %: 20 +- 4.2, upper
+        // bound 4.5 sigma.
         let criteria = Criteria {
             difference_alpha: 0.05,
             tile_alpha: 0.05,

@@ -7,7 +7,8 @@ use crate::scene::{Color, ConductorColor, Material, MaterialId, Roughness, Scala
 
 /// The lobes of a material at texture coordinates.
 ///
-/// Textures are cut to what a material allows: albedos to [0, 1] (and their sum to 1), roughness to at least 0, mixing weights to [0, 1].
+/// Textures are cut to what a material allows: albedos to [0, 1] (and their sum to 1), roughness to
+/// at least 0, mixing weights to [0, 1].
 ///
 /// # Panics
 /// If `id` is not one of `scene`'s, which a valid scene never contains.

@@ -1,4 +1,5 @@
-//! Every placed shape by its running number: over instances in order, then over the shapes of the instance's object.
+//! Every placed shape by its running number: over instances in order, then over the shapes of the
+//! instance's object.
 
 use crate::accel::{Accel, Hit, HitFilter, Ray};
 use crate::math::rng::pcg4d;
@@ -52,8 +53,8 @@ fn anisotropic(scene: &Scene, material: &Material) -> bool {
 
 /// Lets a ray pass where a shape's coverage says so.
 ///
-/// A hit is kept with probability alpha. The coin is a hash of the ray and the hit's parameters, so a ray that is traced again, or only
-/// asked for occlusion, decides the same.
+/// A hit is kept with probability alpha. The coin is a hash of the ray and the hit's parameters, so
+/// a ray that is traced again, or only asked for occlusion, decides the same.
 #[derive(Clone, Copy, Debug)]
 pub struct AlphaMask<'a> {
     /// Textures.

@@ -1,7 +1,8 @@
-//! The methods under comparison. Each is immutable parameters plus kernels; its state lies in the frame loop's buffers.
+//! The methods under comparison. Each is immutable parameters plus kernels; its state lies in the
+//! frame loop's buffers.
 //!
-//! A technique is named by a SPEC: `name` or `name:key=value,key=value`. [`REGISTRY`] lists all; the command line, benches and tests loop
-//! over it.
+//! A technique is named by a SPEC: `name` or `name:key=value,key=value`. [`REGISTRY`] lists all;
+//! the command line, benches and tests loop over it.
 
 mod path_tracer;
 mod restir_di;
@@ -41,16 +42,18 @@ pub trait Technique: fmt::Debug + Send + Sync {
     /// What will run for a scene, and what is left out.
     fn plan(&self, facts: &SceneFacts, shot: &Shot) -> Plan;
 
-    /// Runs kernel number `kernel` over a band; one call a band, all per-ray choices are made inside it once.
+    /// Runs kernel number `kernel` over a band; one call a band, all per-ray choices are made
+    /// inside it once.
     fn run(&self, kernel: u32, inputs: &FrameInputs<'_>, band: &mut Band<'_>) -> Counters;
 
-    /// The same kernel for a graphics processor; `None`: there is none, and the technique runs on the CPU.
+    /// The same kernel for a graphics processor; `None`: there is none, and the technique runs on
+    /// the CPU.
     fn twin(&self, _kernel: u32, _plan: &Plan) -> Option<Twin> {
         None
     }
 
-    /// What one element of a buffer of the technique's plan says to people, as names and values: what
-    /// `inspect` prints of a pixel. Nothing for buffers that say nothing.
+    /// What one element of a buffer of the technique's plan says to people, as names and values:
+    /// what `inspect` prints of a pixel. Nothing for buffers that say nothing.
     fn describe(&self, _buffer: &BufferPlan, _element: &[u32]) -> Vec<(&'static str, String)> {
         Vec::new()
     }

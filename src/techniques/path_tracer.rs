@@ -1,7 +1,8 @@
-//! Path tracing without reuse: by BSDF sampling only (`bsdf`), or with light sampling and multiple importance sampling (`nee`), the
-//! reference that everything else is judged against.
+//! Path tracing without reuse: by BSDF sampling only (`bsdf`), or with light sampling and multiple
+//! importance sampling (`nee`), the reference that everything else is judged against.
 //!
-//! Papers: J. Kajiya (1986), *The Rendering Equation*; E. Veach (1997), *Robust Monte Carlo Methods for Light Transport Simulation*, ch. 9.
+//! Papers: J. Kajiya (1986), *The Rendering Equation*; E. Veach (1997), *Robust Monte Carlo Methods
+//! for Light Transport Simulation*, ch. 9.
 
 use glam::Vec3;
 

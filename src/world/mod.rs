@@ -62,7 +62,8 @@ impl Emitters {
         (&self.accel, &self.first)
     }
 
-    /// All points of emitting surfaces along a ray, in no particular order, occluded ones among them.
+    /// All points of emitting surfaces along a ray, in no particular order, occluded ones among
+    /// them.
     #[inline]
     pub fn along(&self, ray: &Ray, lights: &Lights, visit: impl FnMut(LightPoint)) {
         struct All<'a, V>(&'a Emitters, &'a Lights, RefCell<V>);
@@ -91,7 +92,8 @@ impl World {
     /// Prepares a scene, whose transforms are fixed (see [`Scene::at`]).
     ///
     /// # Errors
-    /// Whatever [`Scene::validate`] refuses, and geometry that no acceleration structure can be built for.
+    /// Whatever [`Scene::validate`] refuses, and geometry that no acceleration structure can be
+    /// built for.
     pub fn new(scene: Scene, options: &BuildOptions) -> Result<Self> {
         scene.validate()?;
         let accel = Accel::build(&scene, options)?;
@@ -193,7 +195,8 @@ fn same_geometry(a: &Scene, b: &Scene) -> bool {
             .all(|(a, b)| a.object == b.object && a.to_world.fixed() == b.to_world.fixed())
 }
 
-/// The world-space box around all shapes, corners beyond [`MAX_COORDINATE`] left out; the unit box around the origin for an empty scene.
+/// The world-space box around all shapes, corners beyond [`MAX_COORDINATE`] left out; the unit box
+/// around the origin for an empty scene.
 #[must_use]
 pub fn bounds(scene: &Scene) -> [Vec3; 2] {
     let (mut low, mut high) = (Vec3A::INFINITY, Vec3A::NEG_INFINITY);

@@ -1,8 +1,8 @@
 //! Passes over tiles whose lanes exchange state, with a technique that lives here.
 //!
-//! In every frame each lane of a tile shows what the lane opposite to it in the tile brings: with an
-//! odd number of pixels, partial tiles at the edges and a grid that begins elsewhere in each frame, an
-//! exchange through lanes outside of the picture is part of it.
+//! In every frame each lane of a tile shows what the lane opposite to it in the tile brings: with
+//! an odd number of pixels, partial tiles at the edges and a grid that begins elsewhere in each
+//! frame, an exchange through lanes outside of the picture is part of it.
 
 use std::sync::Arc;
 
@@ -68,8 +68,8 @@ impl Technique for Opposite {
     }
 }
 
-/// The same picture by the definition, pixel by pixel; the control mirrors in the grid's own rows only
-/// when `origin` is right.
+/// The same picture by the definition, pixel by pixel; the control mirrors in the grid's own rows
+/// only when `origin` is right.
 fn expected(size: [u32; 2], origin: [u32; 2]) -> Vec<[u32; 3]> {
     let [width, height] = TILE;
     let mut all = Vec::new();

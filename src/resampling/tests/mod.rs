@@ -1,4 +1,5 @@
-//! Laws and exact expectations of the core, without noise: every outcome of every draw is enumerated on the very code that renders.
+//! Laws and exact expectations of the core, without noise: every outcome of every draw is
+//! enumerated on the very code that renders.
 
 mod laws;
 mod merging;
@@ -10,7 +11,8 @@ mod visibility;
 use super::{ContributionWeight, Counting, Finished, Input, Plain, Reservoir, ShiftMap, Shifted};
 use crate::math::rng::{RandomSource, Stream};
 
-/// Probabilities are f64, weights f32 of some ten operations: a fraction that differs is off by far more.
+/// Probabilities are f64, weights f32 of some ten operations: a fraction that differs is off by far
+/// more.
 const ROUNDING: f64 = 1e-6;
 
 fn is_close(value: f64, exact: f64) -> bool {
@@ -25,9 +27,11 @@ fn assert_close(value: f64, exact: f64) {
 /// A finished sample of a finite domain.
 type Sample = Finished<usize, Counting>;
 
-/// Finite domains whose states have masses, with partial injections between the first, canonical one and the others.
+/// Finite domains whose states have masses, with partial injections between the first, canonical
+/// one and the others.
 ///
-/// A sum over a domain is Σ f(x) mass(x); a map's Jacobian is the ratio of the masses, so it is seldom 1.
+/// A sum over a domain is Σ f(x) mass(x); a map's Jacobian is the ratio of the masses, so it is
+/// seldom 1.
 #[derive(Clone, Debug)]
 struct Finite {
     mass: Vec<Vec<f32>>,

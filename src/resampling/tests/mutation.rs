@@ -173,7 +173,8 @@ fn mutations_between_reuses_keep_a_merge_exact() {
     }
 }
 
-/// Error of one run's mean over frames of the canonical pixel of two that pass their samples to and fro, squared, in the mean over runs.
+/// Error of one run's mean over frames of the canonical pixel of two that pass their samples to and
+/// fro, squared, in the mean over runs.
 fn squared_error(cap: f32, frames: u32) -> f64 {
     let map = Finite::shared(&[&[1.0, 2.0, 3.0], &[2.0, 2.0, 1.0]]);
     // Each pixel is the canonical one of its own merge.
@@ -226,7 +227,8 @@ fn squared_error(cap: f32, frames: u32) -> f64 {
 #[test]
 fn without_a_cap_a_chain_of_merges_converges_to_a_wrong_value() {
     let [short, long] = [100, 3000].map(|frames| squared_error(1e6, frames));
-    // Control: thirty times the frames change nothing. A cap of 10⁶ frames is none, but for f32: confidences double in each frame.
+    // Control: thirty times the frames change nothing. A cap of 10⁶ frames is none, but for f32:
+    // confidences double in each frame.
     assert!(long > 0.02 && long > 0.5 * short, "{short} {long}");
     let [short, long] = [100, 3000].map(|frames| squared_error(5.0, frames));
     assert!(long < 0.005 && long < 0.1 * short, "{short} {long}");

@@ -1,4 +1,5 @@
-//! Weights, targets and Jacobians of any size: what comes out is finite, and what was rejected is counted.
+//! Weights, targets and Jacobians of any size: what comes out is finite, and what was rejected is
+//! counted.
 
 use proptest::prelude::*;
 

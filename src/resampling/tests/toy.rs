@@ -1,12 +1,15 @@
-//! A shadow on a line: what averaged, selected and corrected visibility do over many frames with the merges that render. Slower than
-//! enumeration, but with chains as long as real ones.
+//! A shadow on a line: what averaged, selected and corrected visibility do over many frames with
+//! the merges that render. Slower than enumeration, but with chains as long as real ones.
 //!
-//! 48 receivers at x in \[0, 1\], 24 lights at l in \[−½, 3/2\] on a parallel line; a light is hidden where (x + l) / 2 lies in the blocker. Four
-//! uniform candidates and one shadow ray a frame, a cap of 20, and one neighbour up to 8 or 24 receivers away with a ray at this one. The truth is
-//! a sum over 24 lights.
+//! 48 receivers at x in \[0, 1\], 24 lights at l in \[−½, 3/2\] on a parallel line; a light is
+//! hidden where (x + l) / 2 lies in the blocker. Four uniform candidates and one shadow ray a
+//! frame, a cap of 20, and one neighbour up to 8 or 24 receivers away with a ray at this one. The
+//! truth is a sum over 24 lights.
 //!
-//! Replicas are independent; a replica's frames are not, so a replica's mean over frames is one observation. Each estimator is compared with the
-//! truth and, replica by replica, with the selected sample of the same reservoirs, whose mean enumeration proves: that finds much smaller biases.
+//! Replicas are independent; a replica's frames are not, so a replica's mean over frames is one
+//! observation. Each estimator is compared with the truth and, replica by replica, with the
+//! selected sample of the same reservoirs, whose mean enumeration proves: that finds much smaller
+//! biases.
 
 use glam::Vec3;
 
@@ -142,7 +145,8 @@ struct Frame<'a> {
     reuse: Reuse,
 }
 
-/// Weights of the spatial merge and how far a neighbour is at most; without it reuse is over time only.
+/// Weights of the spatial merge and how far a neighbour is at most; without it reuse is over time
+/// only.
 type Reuse = Option<(Family, u32)>;
 
 impl Frame<'_> {
@@ -258,7 +262,8 @@ impl State {
     }
 }
 
-/// After a merge; `past` is C̄ minus what it is compared with, for the control variate and for its control.
+/// After a merge; `past` is C̄ minus what it is compared with, for the control variate and for its
+/// control.
 fn state(
     reservoir: &Averaging,
     finished: Finished<usize, Counting>,
@@ -401,7 +406,8 @@ fn reach(moments: &Moments) -> f64 {
 }
 
 impl Measured {
-    /// Whether no receiver, channel or total differs from the truth or from the selected sample: Holm over all of them.
+    /// Whether no receiver, channel or total differs from the truth or from the selected sample:
+    /// Holm over all of them.
     fn is_unbiased(&self) -> bool {
         let own = self.parts.iter().flatten().chain(&self.totals);
         let paired = self.paired_parts.iter().flatten().chain(&self.paired_totals);
@@ -410,7 +416,8 @@ impl Measured {
         !holm(&p, ALPHA).contains(&true)
     }
 
-    /// Bias of the total in a channel, or with 3 in luminance, against the selected sample, in standard errors.
+    /// Bias of the total in a channel, or with 3 in luminance, against the selected sample, in
+    /// standard errors.
     fn z(&self, channel: usize) -> f64 {
         let moments = &self.paired_totals[channel];
         moments.mean() / moments.standard_error()
@@ -441,7 +448,8 @@ fn still(line: &Line, reuse: Reuse, seed: u64) -> [Measured; 5] {
     measure(line, reuse, &[&shadow; BEFORE + MEASURED], (200, seed))
 }
 
-/// That all but the ratio form are right. A bias of 9 % would have been found against the truth, one of 1.5 % against that or the selected sample.
+/// That all but the ratio form are right. A bias of 9 % would have been found against the truth,
+/// one of 1.5 % against that or the selected sample.
 #[track_caller]
 fn check_unbiased(case: &str, found: &[Measured; 5]) {
     report(case, found);
@@ -539,7 +547,8 @@ fn a_growing_shadow_makes_an_average_too_bright_and_leaves_the_control_variate_r
     }
 }
 
-/// Mean response of the ratio form to the blocker's removal, frame by frame: 0 is as before, 1 all of the step.
+/// Mean response of the ratio form to the blocker's removal, frame by frame: 0 is as before, 1 all
+/// of the step.
 fn response(reuse: Reuse, after: usize, replicas: u64) -> Vec<f64> {
     let line = Line::new(soft, false);
     let shadows = [shadow(BLOCKER), shadow(NONE)];
@@ -565,8 +574,8 @@ fn lag(response: &[f64]) -> usize {
 
 #[test]
 fn an_average_follows_in_48_frames_alone_and_in_6_with_a_neighbours_rays() {
-    // Alone the past counts 20/21 a frame: what is missing after n frames is (20/21)^n of the step, a tenth in frame 48. (39, the figure of an earlier
-    // model, would be a cap of 16 or 17.)
+    // Alone the past counts 20/21 a frame: what is missing after n frames is (20/21)^n of the step,
+    // a tenth in frame 48. (39, the figure of an earlier model, would be a cap of 16 or 17.)
     let alone = response(None, 60, 300);
     println!("alone: {}", lag(&alone));
     assert!((46..=50).contains(&lag(&alone)));

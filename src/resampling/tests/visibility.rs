@@ -1,4 +1,5 @@
-//! Averaged, selected and corrected visibility on two lights and one or two pixels: each estimator's exact mean, and what it claims of it.
+//! Averaged, selected and corrected visibility on two lights and one or two pixels: each
+//! estimator's exact mean, and what it claims of it.
 
 use glam::Vec3;
 
@@ -80,7 +81,8 @@ impl Pixel {
         shadowed * self.finished.weight.get()
     }
 
-    /// Merges; the first `chained` of the others bring their V̄ and C̄, the rest get a fresh ray. `subtract` is where F̃ of a chain is taken.
+    /// Merges; the first `chained` of the others bring their V̄ and C̄, the rest get a fresh ray.
+    /// `subtract` is where F̃ of a chain is taken.
     fn merge(
         &self,
         others: &[Self],
@@ -218,7 +220,8 @@ const SOUND: Conditions = Conditions {
     sample_blind: true,
 };
 
-/// That the ratio form has mean `ratio`, the others `others`, and that each claims to be right exactly if it is.
+/// That the ratio form has mean `ratio`, the others `others`, and that each claims to be right
+/// exactly if it is.
 #[track_caller]
 fn check(conditions: Conditions, found: [f64; 4], truth: f64, ratio: f64, others: f64) {
     check_each(conditions, found, truth, [ratio, others, others, others]);
@@ -242,7 +245,8 @@ fn pixel_b() -> Receiver {
     Receiver::grey([1.0, 3.0], [0.0, 1.0])
 }
 
-/// A history of some frames at one receiver, merged with fresh samples of others, all of confidence 1.
+/// A history of some frames at one receiver, merged with fresh samples of others, all of
+/// confidence 1.
 fn after(own: (Receiver, u32), others: &[Receiver], family: Family) -> [f64; 4] {
     grey_means(|random| {
         let own = Pixel::history(own.0, own.1, 1.0, random);
@@ -294,7 +298,8 @@ fn that_bias_grows_with_the_age_of_the_average() {
     check(SOUND, after((pixel_a(), 1), &[pixel_b()], Family::Balance), 1.0, 1.0, 1.0);
 }
 
-/// Both pixels through initial, temporal and spatial passes; history is what came out of the last one.
+/// Both pixels through initial, temporal and spatial passes; history is what came out of the last
+/// one.
 fn looped(frames: u32, cap: f32, family: Family, random: &mut impl RandomSource) -> [Pixel; 2] {
     let receivers = [pixel_a(), pixel_b()];
     let mut pixels: Option<[Pixel; 2]> = None;
@@ -351,7 +356,8 @@ fn a_chain_may_change_receivers_if_what_it_saw_and_its_weight_stay() {
     check(varying, moved((steeper, 2), now, HERE), 1.0, 7.0 / 8.0, 1.0);
 }
 
-/// A merge by hand at [`pixel_a`]: inputs with MIS weights for both lights, a visibility for both, or an average.
+/// A merge by hand at [`pixel_a`]: inputs with MIS weights for both lights, a visibility for both,
+/// or an average.
 fn by_hand(inputs: &[(Pixel, [f32; 2], Option<f32>)], random: &mut impl RandomSource) -> Pixel {
     let receiver = pixel_a();
     let mut reservoir = Averaging::default();
@@ -396,7 +402,8 @@ fn neighbours_with_fresh_rays_may_share_what_the_chain_leaves_if_they_cover_it()
     });
     check(SOUND, found, 1.0, 1.0, 1.0);
 
-    // Where all miss a light, constant weights lose it with any estimator, and others make the chain's weight vary.
+    // Where all miss a light, constant weights lose it with any estimator, and others make the
+    // chain's weight vary.
     let blind = Receiver::grey([0.0, 1.0], [1.0, 1.0]);
     let loses = Conditions { partition: false, streamed_partition: false, ..SOUND };
     check(loses, after((pixel_a(), 2), &[blind], Family::Constant), 1.0, 0.5, 0.5);
@@ -595,7 +602,8 @@ fn what_one_receiver_does_not_see_is_lost_to_one_that_does() {
             own.merge(&[other], 0, family, HERE, random)
         });
         let drops = Conditions { drops_occluded: true, ..SOUND };
-        // A contribution or balance weight that knows no visibility is 1/2; pairs leave the canonical 3/4 of two.
+        // A contribution or balance weight that knows no visibility is 1/2; pairs leave the
+        // canonical 3/4 of two.
         let kept = if family == Family::DefensivePairwise { 1.75 } else { 1.5 };
         check(drops, found, 2.0, kept, kept);
     }

@@ -1,4 +1,5 @@
-//! A pixel's own candidates: light samples and BSDF samples with one mixture density, and light points made ahead in tiles.
+//! A pixel's own candidates: light samples and BSDF samples with one mixture density, and light
+//! points made ahead in tiles.
 
 use bytemuck::{Pod, Zeroable};
 use glam::{Vec2, Vec3};
@@ -27,7 +28,8 @@ pub struct TileEntry {
 /// Entries of a tile: 15 KB, so that a tile stays in the nearest cache.
 pub(crate) const TILE: u32 = 256;
 
-/// Fills an entry of a tile with the 128 random bits `words`: a light by power, a point uniform on it.
+/// Fills an entry of a tile with the 128 random bits `words`: a light by power, a point uniform on
+/// it.
 #[must_use]
 pub fn fill_tile(world: &World, words: [u32; 4], counters: &mut Counters) -> TileEntry {
     counters.tile_entries += 1;
@@ -75,12 +77,14 @@ pub struct Chosen {
 #[derive(Clone, Copy)]
 struct Offered {
     point: LightPoint,
-    /// Whether the point's place holds the numbers that it is drawn with, from which the place follows.
+    /// Whether the point's place holds the numbers that it is drawn with, from which the place
+    /// follows.
     drawn: bool,
 }
 
-/// The chosen one of a receiver's candidates, numbered from `first`: wᵢ = p̂(yᵢ) / (Mₗ pₗ + Mᵦ pᵦ), so that W = Σw / p̂(Y). The
-/// density of both techniques together stands below the line (balance heuristic; Veach 1997), so it may be asked for candidates of either.
+/// The chosen one of a receiver's candidates, numbered from `first`: wᵢ = p̂(yᵢ) / (Mₗ pₗ + Mᵦ pᵦ),
+/// so that W = Σw / p̂(Y). The density of both techniques together stands below the line (balance
+/// heuristic; Veach 1997), so it may be asked for candidates of either.
 #[inline(never)] // One call a pixel; every policy's kernel would hold a copy.
 pub fn candidates(
     receiver: &Receiver<'_>,
@@ -140,7 +144,8 @@ pub fn candidates(
         }
     }
     counters.weights_rejected += u64::from(reservoir.rejected());
-    // Evaluated once more: cheaper than to carry it along with every candidate that was selected for a while.
+    // Evaluated once more: cheaper than to carry it along with every candidate that was selected
+    // for a while.
     reservoir.selected().and_then(|Offered { point, drawn }| {
         let point = if drawn {
             lights.point_towards(point.light, surface.position, point.uv)

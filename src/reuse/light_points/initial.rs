@@ -47,7 +47,8 @@ impl<'a> Sources<'a> {
             let columns = self.inputs.shot.size[0].div_ceil(TILE_BLOCK);
             let block = pixel.y / TILE_BLOCK * columns + pixel.x / TILE_BLOCK;
             if self.block != Some(block) {
-                // Which tile a block takes; the tiles' own numbers come from round 1 of the same purpose.
+                // Which tile a block takes; the tiles' own numbers come from round 1 of the same
+                // purpose.
                 let mut random = self.inputs.stream(block, Purpose::LightTile, 0);
                 let tile = random.index(self.count);
                 let range = (tile * TILE) as usize..((tile + 1) * TILE) as usize;
@@ -81,8 +82,8 @@ impl<F: HitFilter + Sync, const IN_TARGET: bool> LightPoints<'_, F, IN_TARGET> {
         counters
     }
 
-    /// Fills a band of reservoirs with fresh candidates, seen as the policy asks, and the normals that
-    /// later passes compare.
+    /// Fills a band of reservoirs with fresh candidates, seen as the policy asks, and the normals
+    /// that later passes compare.
     pub(crate) fn initial<P: Policy>(
         &self,
         policy: P,

@@ -9,9 +9,11 @@
 //! | [`LightPointShift`] | the shift: a light point keeps its place on its light; \|∂T\| is the ratio of the light's areas |
 //! | [`Record`] | a finished reservoir as it lies in a buffer: 24 bytes |
 //!
-//! Candidates come from light sampling and from BSDF sampling with one mixture density (balance heuristic). BSDF sampling takes *all* points
-//! of emitters along its ray, occluded ones too: the target knows no visibility, so neither may the source. (Taking the first hit only
-//! makes the source blind to points that another pixel sees, which biases every reuse of the sample by up to the BSDF's share.)
+//! Candidates come from light sampling and from BSDF sampling with one mixture density (balance
+//! heuristic). BSDF sampling takes *all* points of emitters along its ray, occluded ones too: the
+//! target knows no visibility, so neither may the source. (Taking the first hit only makes the
+//! source blind to points that another pixel sees, which biases every reuse of the sample by up to
+//! the BSDF's share.)
 
 mod candidates;
 mod domain;

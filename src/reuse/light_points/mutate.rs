@@ -1,8 +1,10 @@
 //! Mutations of the light point: it moves on its light, or to another light.
 //!
-//! The chain's coordinates are the light and u, v on it, so the invariant density is p̂ times the measure of a unit of (u, v): the light's area, or
-//! 1 / density for environments. A small step moves u and v on the torus by Kelemen's kernel (Kelemen et al. 2002): |Δ| between 1/1024 and 1/64,
-//! log-uniform. A large step draws light and place anew, by power and uniformly, so its acceptance holds the ratio of the lights' probabilities.
+//! The chain's coordinates are the light and u, v on it, so the invariant density is p̂ times the
+//! measure of a unit of (u, v): the light's area, or 1 / density for environments. A small step
+//! moves u and v on the torus by Kelemen's kernel (Kelemen et al. 2002): |Δ| between 1/1024 and
+//! 1/64, log-uniform. A large step draws light and place anew, by power and uniformly, so its
+//! acceptance holds the ratio of the lights' probabilities.
 
 use glam::{Vec2, Vec3};
 
@@ -46,7 +48,8 @@ pub struct LightPointMutator<'a, F, const IN_TARGET: bool> {
     pub counters: Counters,
 }
 
-/// Bounds of a small step, and ln of their ratio (Kelemen et al. 2002, as in common implementations of primary-sample-space MLT).
+/// Bounds of a small step, and ln of their ratio (Kelemen et al. 2002, as in common implementations
+/// of primary-sample-space MLT).
 const LARGEST: f32 = 1.0 / 64.0;
 const LOG_RATIO: f32 = 2.772_588_7;
 
@@ -60,7 +63,8 @@ fn perturb(u: f32, random: &mut impl RandomSource) -> f32 {
 }
 
 impl<F: HitFilter, const IN_TARGET: bool> LightPointMutator<'_, F, IN_TARGET> {
-    /// The state at a light point whose target is known to be positive, so that no ray is needed; `None` where F is 0.
+    /// The state at a light point whose target is known to be positive, so that no ray is needed;
+    /// `None` where F is 0.
     #[must_use]
     pub fn start(&self, point: LightPoint) -> Option<PointState> {
         let (sight, _) = self.receiver.look(point)?;

@@ -11,7 +11,8 @@ use crate::resampling::{Measure, ShiftMap, Shifted};
 use crate::surface::SurfacePoint;
 use crate::world::World;
 
-/// Area on shapes, solid angle on environments, counting on point, spot and distant lights: the kind belongs to the light.
+/// Area on shapes, solid angle on environments, counting on point, spot and distant lights: the
+/// kind belongs to the light.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LightMeasure;
 
@@ -120,9 +121,11 @@ impl<'a> Receiver<'a> {
     }
 }
 
-/// The shift of light points: T(y) is the same place on the same light, wherever that light stands in the other frame's table.
+/// The shift of light points: T(y) is the same place on the same light, wherever that light stands
+/// in the other frame's table.
 ///
-/// With `IN_TARGET`, the integrand includes visibility: one shadow ray a shift, in the world of the destination.
+/// With `IN_TARGET`, the integrand includes visibility: one shadow ray a shift, in the world of the
+/// destination.
 #[derive(Debug)]
 pub struct LightPointShift<'a, F, const IN_TARGET: bool> {
     /// Which hits stop a shadow ray now; the previous frame's world brings its own.
@@ -169,7 +172,8 @@ impl<'a, F: HitFilter, const IN_TARGET: bool> ShiftMap for LightPointShift<'a, F
     type Sample = LightPoint;
     type Domain = Receiver<'a>;
     type Integrand = Vec3;
-    /// A light point never leaves its light; its index is that of one frame's table, so only its place is compared.
+    /// A light point never leaves its light; its index is that of one frame's table, so only its
+    /// place is compared.
     type Stratum = [u32; 2];
 
     #[inline]

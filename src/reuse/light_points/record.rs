@@ -35,7 +35,8 @@ pub struct Record {
 pub(crate) const MAX_CONFIDENCE: f32 = 255.0;
 
 impl Record {
-    /// A finished reservoir; `target` is p̂ of its sample, `policy_bits` whatever the visibility policy keeps.
+    /// A finished reservoir; `target` is p̂ of its sample, `policy_bits` whatever the visibility
+    /// policy keeps.
     #[inline]
     #[must_use]
     pub fn new(

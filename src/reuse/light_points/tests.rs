@@ -42,8 +42,9 @@ fn sky(scene: &mut Scene, tilt: f32, key: u64) {
     });
 }
 
-/// A floor around the origin under a triangle, a sphere and a disk that shine, two point lights, a spot light, a distant light and a sky.
-/// A wall hides what lies at x > 0.4 and z > 0 from the origin.
+/// A floor around the origin under a triangle, a sphere and a disk that shine, two point lights, a
+/// spot light, a distant light and a sky. A wall hides what lies at x > 0.4 and z > 0 from the
+/// origin.
 fn scene(material: Material, wall: bool) -> Scene {
     let mut scene = Scene::new("all lights");
     let floor = scene.add_material(material);
@@ -120,7 +121,8 @@ fn points(world: &World, lights: u32) -> Vec<LightPoint> {
     (0..lights).flat_map(|light| [light; 20]).map(&mut at).collect()
 }
 
-/// The scene one frame later: one light gone, others scaled, moved, recoloured and in another order, the sky changed.
+/// The scene one frame later: one light gone, others scaled, moved, recoloured and in another
+/// order, the sky changed.
 fn later() -> Scene {
     let mut scene = scene(lambert(), true);
     scene.instances.swap(1, 3);
@@ -181,7 +183,8 @@ fn light_points_keep_the_laws_of_a_shift_between_frames() {
     assert!(map.shift(&gone, &domains[0], &domains[1]).is_none());
 }
 
-/// The Jacobian as a quotient of two areas: what a small square of (u, v) covers in one frame and in the other.
+/// The Jacobian as a quotient of two areas: what a small square of (u, v) covers in one frame and
+/// in the other.
 #[test]
 fn the_jacobian_is_the_ratio_of_what_a_square_of_uv_covers() {
     let (then, now) = (world(scene(lambert(), false)), world(later()));
@@ -373,7 +376,8 @@ enum Along {
     Nearest,
 }
 
-/// [`candidates`], written once more without vectors, with a choice of what BSDF samples see: the chosen point and Σw.
+/// [`candidates`], written once more without vectors, with a choice of what BSDF samples see: the
+/// chosen point and Σw.
 fn drawn(
     receiver: &Receiver<'_>,
     from: &Candidates<'_>,
@@ -449,7 +453,8 @@ fn set(receiver: &Receiver<'_>, point: LightPoint) -> Option<usize> {
     Some(2 * point.light as usize + usize::from(seen))
 }
 
-/// E[W g(Y)] against ∫ g for g = p̂ on each set that holds at least 5 % of the light; TOST with δ = 5 %, α = 10⁻³, a fail at 10⁻⁶.
+/// E[W g(Y)] against ∫ g for g = p̂ on each set that holds at least 5 % of the light; TOST with δ =
+/// 5 %, α = 10⁻³, a fail at 10⁻⁶.
 fn contribution_weights(
     receiver: &Receiver<'_>,
     draw: impl Fn(u64) -> Option<(LightPoint, f32)>,
@@ -518,7 +523,8 @@ fn candidates_have_contribution_weights_on_seen_and_on_occluded_light_points() {
         }
         let occluded = found.iter().filter(|(set, _)| set % 2 == 0).count();
         assert!(occluded >= 2 && found.len() - occluded >= 3, "{name}: {found:?}");
-        // The control: what the BSDF's share of the density promises on occluded points never comes.
+        // The control: what the BSDF's share of the density promises on occluded points never
+        // comes.
         let nearest = contribution_weights(&receiver, |run| {
             let seeds = PathSeeds::new(run, 0, 0);
             drawn(&receiver, &sources, Along::Nearest, (seeds, 0), &mut Stream::from_key(run))
@@ -532,8 +538,8 @@ fn candidates_have_contribution_weights_on_seen_and_on_occluded_light_points() {
     }
 }
 
-/// A map without the Jacobian, or with the inverse one, breaks the law that the product is 1 only where both are wrong alike; what sees them is
-/// the integral: Σ over the destination of T's image.
+/// A map without the Jacobian, or with the inverse one, breaks the law that the product is 1 only
+/// where both are wrong alike; what sees them is the integral: Σ over the destination of T's image.
 #[test]
 fn integrals_see_a_jacobian_left_out_or_inverted() {
     let (then, now) = (world(scene(lambert(), false)), world(later()));
@@ -541,7 +547,8 @@ fn integrals_see_a_jacobian_left_out_or_inverted() {
     let (before, after) =
         (receiver(&then, Vec3::ZERO, Time::Before), receiver(&now, Vec3::ZERO, Time::Now));
     let mut map = LightPointShift::<_, false>::new(&AcceptAll, Some(&remap));
-    // Uniform points then have W = measure then; shifted, W |∂T|. E[p̂ W |∂T|] is ∫ p̂ now, by midpoints on both sides.
+    // Uniform points then have W = measure then; shifted, W |∂T|. E[p̂ W |∂T|] is ∫ p̂ now, by
+    // midpoints on both sides.
     for light in [0, 1, 2, 7] {
         let (mut carried, mut left_out, mut inverted, mut truth) = (0.0, 0.0, 0.0, 0.0_f64);
         const FINE: usize = 256;
@@ -566,7 +573,8 @@ fn integrals_see_a_jacobian_left_out_or_inverted() {
     }
 }
 
-/// A sphere that shines inward, or both ways: from outside only the near cap can send anything, from inside all of it.
+/// A sphere that shines inward, or both ways: from outside only the near cap can send anything,
+/// from inside all of it.
 #[test]
 fn who_is_outside_a_hollow_light_sees_its_near_cap_alone() {
     for two_sided in [false, true] {
@@ -649,7 +657,8 @@ fn candidates_side_by_side_are_those_of_one_at_a_time() {
 
 #[test]
 fn an_entry_whose_density_underflows_is_dark() {
-    // 2 · 10³⁵ m², drawn once in 2 · 10¹⁰ times beside strong points: a density of 3 · 10⁻⁴⁶ is 0 in f32, the light's target is not.
+    // 2 · 10³⁵ m², drawn once in 2 · 10¹⁰ times beside strong points: a density of 3 · 10⁻⁴⁶ is 0
+    // in f32, the light's target is not.
     let mut scene = Scene::new("vast and faint");
     let floor = scene.add_material(lambert());
     let c = |x: f32, y: f32, z: f32| Vec3::new(x, y, z);

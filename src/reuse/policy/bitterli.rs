@@ -1,6 +1,6 @@
 //! Initial visibility is folded into W (Bitterli et al. 2020, alg. 5): an occluded fresh sample is
-//! dropped, although targets know no visibility. Biased: a pixel that sees what a neighbour does not
-//! never gets it from there.
+//! dropped, although targets know no visibility. Biased: a pixel that sees what a neighbour does
+//! not never gets it from there.
 
 use super::Policy;
 

@@ -1,5 +1,5 @@
-//! Outcomes correct an estimate that is kept beside the reservoir (Tokuyoshi 2024): the passes do the
-//! arithmetic, with [`super::super::Control`] as the state.
+//! Outcomes correct an estimate that is kept beside the reservoir (Tokuyoshi 2024): the passes do
+//! the arithmetic, with [`super::super::Control`] as the state.
 
 use super::Policy;
 

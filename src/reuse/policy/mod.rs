@@ -1,4 +1,5 @@
-//! What is done with the outcomes of shadow rays, apart from how samples are chosen: a type a policy.
+//! What is done with the outcomes of shadow rays, apart from how samples are chosen: a type a
+//! policy.
 //!
 //! | policy | rays a pixel and frame | shown |
 //! |---|---|---|
@@ -51,8 +52,8 @@ pub enum Visibility {
     WisControlVariate,
 }
 
-/// What the passes ask of a policy. The policy keeps 16 bits beside each reservoir; what they mean is
-/// its own business.
+/// What the passes ask of a policy. The policy keeps 16 bits beside each reservoir; what they mean
+/// is its own business.
 pub(crate) trait Policy: Copy + Send + Sync {
     /// Whether it belongs to targets that contain visibility.
     const IN_TARGET: bool = false;

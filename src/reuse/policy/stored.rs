@@ -2,7 +2,8 @@
 
 use super::Policy;
 
-/// Limits of [`super::Visibility::Reuse`] in production (the defaults of RTXDI, after Wyman and Panteleev 2021): frames, pixels.
+/// Limits of [`super::Visibility::Reuse`] in production (the defaults of RTXDI, after Wyman and
+/// Panteleev 2021): frames, pixels.
 pub const REUSE_AGE: u32 = 4;
 /// See [`REUSE_AGE`].
 pub const REUSE_DISTANCE: u32 = 16;
@@ -38,7 +39,8 @@ impl Policy for StoredOutcome {
     }
 }
 
-/// An outcome that may be used again: 1 bit visible, 7 bits distance in pixels, 8 bits age in frames, both saturating.
+/// An outcome that may be used again: 1 bit visible, 7 bits distance in pixels, 8 bits age in
+/// frames, both saturating.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reused {
     /// What the ray said.

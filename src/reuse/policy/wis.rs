@@ -51,8 +51,8 @@ mod tests {
         assert_eq!((pack_average(0.0), pack_average(1.0)), (0, u16::MAX));
     }
 
-    /// A chain of averages V̄ ← (20 V̄ + v) / 21 over 500 frames: the stored mean drifts by less than 0.2 % of what f64 keeps; 6 truncated
-    /// bits, the control, lose a quarter.
+    /// A chain of averages V̄ ← (20 V̄ + v) / 21 over 500 frames: the stored mean drifts by less
+    /// than 0.2 % of what f64 keeps; 6 truncated bits, the control, lose a quarter.
     #[test]
     fn chains_of_averages_do_not_drift() {
         use crate::math::rng::{RandomSource, Stream};

@@ -6,9 +6,10 @@
 //! | node with a mesh, light or camera | [`Instance`](crate::scene::Instance), [`Light`], [`Camera`]; its key is the node's index |
 //! | animated node | a [`Track`] of every [`Transform::Chain`] below it |
 //!
-//! glTF's space is right-handed and kept. Its cameras and lights look along −z with y up: a camera is mirrored along its z (ours has
-//! x right, y up, z forward), a light turned by half a turn around y. Their scale is dropped. Candela and lux are taken as W·sr⁻¹ and
-//! W·m⁻² without conversion.
+//! glTF's space is right-handed and kept. Its cameras and lights look along −z with y up: a camera
+//! is mirrored along its z (ours has x right, y up, z forward), a light turned by half a turn
+//! around y. Their scale is dropped. Candela and lux are taken as W·sr⁻¹ and W·m⁻² without
+//! conversion.
 
 mod animation;
 mod bytes;
@@ -37,7 +38,8 @@ use material::{Materials, Surface};
 /// The longer side of the picture; glTF has a shape at most.
 const LONGER_SIDE: f32 = 1280.0;
 
-/// Extensions that are read. `KHR_mesh_quantization` only allows more number formats, all of which are read.
+/// Extensions that are read. `KHR_mesh_quantization` only allows more number formats, all of which
+/// are read.
 const EXTENSIONS: [&str; 8] = [
     "KHR_lights_punctual",
     "KHR_materials_emissive_strength",
@@ -524,7 +526,8 @@ impl Builder<'_> {
     }
 }
 
-/// The triangles of a list, a strip or a fan, all with the winding of the first one (glTF 2.0, section 3.7.2.1).
+/// The triangles of a list, a strip or a fan, all with the winding of the first one (glTF 2.0,
+/// section 3.7.2.1).
 fn triangles(mode: Mode, corners: &[u32]) -> Vec<[u32; 3]> {
     match mode {
         Mode::TriangleStrip => corners
@@ -560,7 +563,8 @@ fn film(aspect: f32) -> [u32; 2] {
     }
 }
 
-/// A camera that sees the whole scene at its first time, from the front (+z), a little from the right and above.
+/// A camera that sees the whole scene at its first time, from the front (+z), a little from the
+/// right and above.
 fn framing(scene: &Scene) -> Camera {
     const FOV: f32 = 40.0 * std::f32::consts::PI / 180.0;
     let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
@@ -635,7 +639,8 @@ mod tests {
     /// A red pixel over a half-transparent green one, as PNG.
     const PNG: &str = "data:image/png;base64,iVBORw0KGgoAAAANSUhEUgAAAAEAAAACCAYAAACZgbYnAAAADklEQVR4nGP4z8AARg0AEngDfiJRAKgAAAAASUVORK5CYII=";
 
-    /// One triangle in z = 0 with (u, v), its indices, two keys of an animation; `rest` replaces `REST`.
+    /// One triangle in z = 0 with (u, v), its indices, two keys of an animation; `rest` replaces
+    /// `REST`.
     fn file(nodes: &str, rest: &str) -> String {
         let mut words = floats(&[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]);
         words.extend(floats(&[0.0, 0.0, 1.0, 0.0, 0.0, 1.0]));

@@ -8,8 +8,9 @@
 //! | [`ply_from_bytes`] | a PLY mesh in memory, gzip or not |
 //! | [`image_from_bytes`] | PNG, JPEG, Radiance HDR or OpenEXR in memory |
 //!
-//! Every refusal names the file and the line or JSON path, what was found and what is allowed. What is ignored or approximated is a
-//! warning in [`Loaded::warnings`]. `docs/scenes.md` lists what is read and how spectra become RGB.
+//! Every refusal names the file and the line or JSON path, what was found and what is allowed. What
+//! is ignored or approximated is a warning in [`Loaded::warnings`]. `docs/scenes.md` lists what is
+//! read and how spectra become RGB.
 
 mod gltf;
 mod pbrt;
@@ -31,10 +32,12 @@ const MAX_FILE_BYTES: u64 = 1 << 32;
 /// Gzipped files above this size unpacked are refused: 2 GiB.
 const MAX_UNPACKED_BYTES: u64 = 1 << 31;
 
-/// Reads a scene: `.pbrt` is pbrt-v4 text, `.gltf` and `.glb` are glTF 2.0. The result is valid (see [`super::Scene::validate`]).
+/// Reads a scene: `.pbrt` is pbrt-v4 text, `.gltf` and `.glb` are glTF 2.0. The result is valid
+/// (see [`super::Scene::validate`]).
 ///
 /// # Errors
-/// The file cannot be read, is not what its extension says, or uses something outside `docs/scenes.md`.
+/// The file cannot be read, is not what its extension says, or uses something outside
+/// `docs/scenes.md`.
 pub fn load(path: &Path) -> Result<Loaded> {
     if path.is_dir() {
         let message = "a folder, but a scene is a file in it: .pbrt, .gltf, .glb";
@@ -52,7 +55,8 @@ pub fn load(path: &Path) -> Result<Loaded> {
     }
 }
 
-/// Reads pbrt-v4 text. `path` names it in messages and need not exist; files that it refers to are sought beside it.
+/// Reads pbrt-v4 text. `path` names it in messages and need not exist; files that it refers to are
+/// sought beside it.
 ///
 /// # Errors
 /// As [`load`].
@@ -60,7 +64,8 @@ pub fn pbrt_from_bytes(text: &[u8], path: &Path) -> Result<Loaded> {
     pbrt::from_bytes(text, path)
 }
 
-/// Reads a glTF 2.0 file, JSON or binary. `path` names it in messages; buffers and images are sought beside it.
+/// Reads a glTF 2.0 file, JSON or binary. `path` names it in messages; buffers and images are
+/// sought beside it.
 ///
 /// # Errors
 /// As [`load`].
@@ -68,7 +73,8 @@ pub fn gltf_from_bytes(bytes: &[u8], path: &Path) -> Result<Loaded> {
     gltf::from_bytes(bytes, path)
 }
 
-/// Reads a PLY mesh: ASCII, binary of either byte order, or one of these gzipped. Polygons become triangle fans.
+/// Reads a PLY mesh: ASCII, binary of either byte order, or one of these gzipped. Polygons become
+/// triangle fans.
 ///
 /// # Errors
 /// Bytes that are no PLY mesh, indices out of range, more data declared than there is.
@@ -79,7 +85,8 @@ pub fn ply_from_bytes(bytes: &[u8]) -> Result<Mesh> {
 /// Decodes a picture by its leading bytes.
 ///
 /// # Errors
-/// Bytes that are no PNG, JPEG, Radiance HDR or OpenEXR, damaged ones, or a picture above 32,768 pixels a side or 1 GiB decoded.
+/// Bytes that are no PNG, JPEG, Radiance HDR or OpenEXR, damaged ones, or a picture above 32,768
+/// pixels a side or 1 GiB decoded.
 pub fn image_from_bytes(bytes: &[u8], encoding: Encoding) -> Result<Image> {
     picture::image_from_bytes(bytes, encoding)
 }

@@ -1,6 +1,8 @@
-//! Pictures from files: PNG, JPEG, Radiance HDR (crate `image`) and OpenEXR (crate `exr`), recognised by their leading bytes.
+//! Pictures from files: PNG, JPEG, Radiance HDR (crate `image`) and OpenEXR (crate `exr`),
+//! recognised by their leading bytes.
 //!
-//! Sizes are checked in the header, before anything is decoded, so that a small file cannot ask for much memory.
+//! Sizes are checked in the header, before anything is decoded, so that a small file cannot ask for
+//! much memory.
 
 use std::io::Cursor;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -33,7 +35,8 @@ pub(super) fn load_image(path: &Path, encoding: Encoding) -> Result<Image> {
 
 /// Decodes a picture. Errors carry no path.
 pub(super) fn image_from_bytes(bytes: &[u8], encoding: Encoding) -> Result<Image> {
-    // The decoders are other people's; a panic in one of them is an error of the file, not of the program.
+    // The decoders are other people's; a panic in one of them is an error of the file, not of the
+    // program.
     let decoded = catch_unwind(AssertUnwindSafe(|| decode(bytes, encoding)));
     let image =
         decoded.unwrap_or_else(|_| Err(Error::syntax("damaged picture: its decoder failed")))?;

@@ -1,6 +1,8 @@
-//! PLY meshes (crate `ply-rs-bw`, read into our own elements): ASCII, binary of either byte order, gzipped or not.
+//! PLY meshes (crate `ply-rs-bw`, read into our own elements): ASCII, binary of either byte order,
+//! gzipped or not.
 //!
-//! A header may promise any number of elements; it is believed only as far as the bytes behind it reach.
+//! A header may promise any number of elements; it is believed only as far as the bytes behind it
+//! reach.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 

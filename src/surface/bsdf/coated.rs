@@ -1,4 +1,5 @@
-//! Lambert under a dielectric coat: an analytic plastic. Lobe 0 is the coat's reflection, lobe 1 the base.
+//! Lambert under a dielectric coat: an analytic plastic. Lobe 0 is the coat's reflection, lobe 1
+//! the base.
 //!
 //! | symbol | meaning |
 //! |---|---|
@@ -7,12 +8,15 @@
 //! | Ē, T̄ | their means over the hemisphere, ∫ · 2μ dμ |
 //! | ρ | albedo of the base |
 //!
-//! base: f = ρ T(o) T(i)/(π η² (1 − ρ F̄)), where F̄ = 1 − T̄/η² is what the interface sends back of the diffuse light inside. This is the
-//! "nonlinear" rough plastic of Mitsuba 3 (light is coloured at every inner bounce), with two differences: E has height-correlated
-//! masking, and F̄ follows from Ē by energy conservation instead of a second integral (equal for a smooth coat), so that ρ = 1 scatters
-//! all that E leaves. For different roughness along the tangents E is that of `√(α_x α_y)`.
+//! base: f = ρ T(o) T(i)/(π η² (1 − ρ F̄)), where F̄ = 1 − T̄/η² is what the interface sends back
+//! of the diffuse light inside. This is the "nonlinear" rough plastic of Mitsuba 3 (light is
+//! coloured at every inner bounce), with two differences: E has height-correlated masking, and F̄
+//! follows from Ē by energy conservation instead of a second integral (equal for a smooth coat), so
+//! that ρ = 1 scatters all that E leaves. For different roughness along the tangents E is that of
+//! `√(α_x α_y)`.
 //!
-//! pbrt-v4's `coateddiffuse` walks randomly through the layer instead; its absorbing or scattering medium is not modelled here.
+//! pbrt-v4's `coateddiffuse` walks randomly through the layer instead; its absorbing or scattering
+//! medium is not modelled here.
 
 use std::f32::consts::FRAC_1_PI;
 

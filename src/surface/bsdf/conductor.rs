@@ -1,4 +1,5 @@
-//! Metals: GGX microfacets or a perfect mirror, with the exact conductor Fresnel term, on both sides of the surface.
+//! Metals: GGX microfacets or a perfect mirror, with the exact conductor Fresnel term, on both
+//! sides of the surface.
 
 use glam::{Vec2, Vec3};
 
@@ -17,7 +18,8 @@ pub(super) struct Conductor {
 }
 
 impl Conductor {
-    /// The metal with reflectance r at normal incidence: η = 1, k = 2 √r/√(1 − r) (pbrt-v4). `r` is cut to [0, 1 − 2⁻²⁴].
+    /// The metal with reflectance r at normal incidence: η = 1, k = 2 √r/√(1 − r) (pbrt-v4). `r` is
+    /// cut to [0, 1 − 2⁻²⁴].
     #[inline]
     pub(super) fn from_reflectance(r: Vec3, surface: Option<Ggx>) -> Self {
         // One ulp below 1, where k is 8192 and F is 1 to single precision; pbrt cuts at 0.9999.

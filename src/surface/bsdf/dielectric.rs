@@ -7,16 +7,17 @@
 //! | F | reflectance of the interface at o·h |
 //!
 //! Refraction (Walter et al. 2007, equations 17 and 21, with radiance scaled by 1/η²):
-//! `f |i_z| = (1 − F) D G₂ |i·h| (o·h)/(|o_z| (i·h + o·h/η)²)/η²`, density `D G₁ (o·h)/|o_z| · |i·h|/(i·h + o·h/η)²`.
-//! G₂ has the form of correlated heights on both sides of the surface (as in pbrt-v4; Heitz 2014 derives another one for refraction).
+//! `f |i_z| = (1 − F) D G₂ |i·h| (o·h)/(|o_z| (i·h + o·h/η)²)/η²`, density
+//! `D G₁ (o·h)/|o_z| · |i·h|/(i·h + o·h/η)²`. G₂ has the form of correlated heights on both sides
+//! of the surface (as in pbrt-v4; Heitz 2014 derives another one for refraction).
 
 use glam::{Vec2, Vec3};
 
 use super::ggx::{Ggx, half_vector, reflect};
 use super::{DeltaSample, Evaluation, Lobes, fresnel, mirror_to_front, select};
 
-/// An index this near to 1 bends light by less than 10⁻³ rad, and the microfacet normal of a nearly straight path is lost to rounding: rough
-/// interfaces below it are treated as smooth ones.
+/// An index this near to 1 bends light by less than 10⁻³ rad, and the microfacet normal of a nearly
+/// straight path is lost to rounding: rough interfaces below it are treated as smooth ones.
 const INDEX_MATCHED: f32 = 1e-3;
 
 /// Least probability of either lobe: keeps the weight of a rarely chosen lobe below 20.
@@ -51,7 +52,8 @@ impl Dielectric {
         match self.surface {
             None => fresnel::dielectric(cosine, eta),
             Some(ggx) => {
-                // F at two microfacets leaning to and fro by half of the roughness, as far as they are seen.
+                // F at two microfacets leaning to and fro by half of the roughness, as far as they
+                // are seen.
                 let lean = 0.5 * ggx.mean_alpha();
                 let scale = 1.0 / (1.0 + lean * lean).sqrt();
                 let sine = lean * (1.0 - cosine * cosine).max(0.0).sqrt();
@@ -65,7 +67,8 @@ impl Dielectric {
     }
 }
 
-/// The refraction of `wo` at `h` (o·h > 0) into an index η times as large; not normalised against rounding.
+/// The refraction of `wo` at `h` (o·h > 0) into an index η times as large; not normalised against
+/// rounding.
 #[inline]
 fn refract(wo: Vec3, h: Vec3, eta: f32) -> Option<Vec3> {
     let c = wo.dot(h);
@@ -117,7 +120,8 @@ impl Lobes for Dielectric {
             }
             let root = ih + oh / eta;
             let jacobian = -ih / (root * root);
-            // The forms of `Ggx::reflection`, times 4 o·h |dh/di| with i mirrored to the front for the masking.
+            // The forms of `Ggx::reflection`, times 4 o·h |dh/di| with i mirrored to the front for
+            // the masking.
             let (pdf, value) =
                 ggx.reflection(front_o, Vec3::new(front_i.x, front_i.y, -front_i.z), h);
             let refracted = 4.0 * oh * jacobian;
@@ -188,7 +192,8 @@ impl Lobes for Dielectric {
     }
 }
 
-/// A pane without thickness: mirrored with R' = 2R/(1 + R) (lobe 0) or straight through with 1 − R' (lobe 1), all inner reflections summed.
+/// A pane without thickness: mirrored with R' = 2R/(1 + R) (lobe 0) or straight through with 1 − R'
+/// (lobe 1), all inner reflections summed.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ThinDielectric {
     /// Index of refraction of the pane.

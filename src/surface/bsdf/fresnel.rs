@@ -21,7 +21,8 @@ pub(super) fn dielectric(c: f32, eta: f32) -> f32 {
     }
 }
 
-/// Cosine of the refracted angle; `None` under total internal reflection and where nothing arrives (c = 0).
+/// Cosine of the refracted angle; `None` under total internal reflection and where nothing arrives
+/// (c = 0).
 #[inline]
 pub(super) fn refracted_cosine(c: f32, eta: f32) -> Option<f32> {
     // 1 − (1 − c²)/η² with the cancellation of η → 1 taken out.
@@ -31,8 +32,9 @@ pub(super) fn refracted_cosine(c: f32, eta: f32) -> Option<f32> {
 
 /// Unpolarised reflectance of a conductor with index η + i k, per channel.
 ///
-/// With a + i b = √((η + i k)² − sin²): `r_s` = ((a−c)² + b²)/((a+c)² + b²), `r_p` = `r_s` ((ac − s²)² + b²c²)/((ac + s²)² + b²c²),
-/// s² = 1 − c². Sums of squares instead of the usual differences: a reflectance of 10⁻⁶ keeps its digits.
+/// With a + i b = √((η + i k)² − sin²): `r_s` = ((a−c)² + b²)/((a+c)² + b²), `r_p` = `r_s` ((ac −
+/// s²)² + b²c²)/((ac + s²)² + b²c²), s² = 1 − c². Sums of squares instead of the usual differences:
+/// a reflectance of 10⁻⁶ keeps its digits.
 #[inline]
 pub(super) fn conductor(c: f32, eta: Vec3, k: Vec3) -> Vec3 {
     let c2 = c * c;

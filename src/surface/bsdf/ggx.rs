@@ -8,10 +8,11 @@
 //! | ‖w‖_α | `√(α_x² w_x² + α_y² w_y² + w_z²)`: the length of w stretched into the frame where the surface has α = 1 |
 //! | G₁, G₂ | Smith masking; masking and shadowing with correlated heights (Heitz 2014) |
 //!
-//! In these terms `Λ(w) = (‖w‖_α / w_z − 1)/2`, so `G₁(w) = 2 w_z/(w_z + ‖w‖_α)` and `G₂(o, i) = 2 o_z i_z/(‖o‖_α i_z + ‖i‖_α o_z)`: no division by a
-//! cosine, finite at every angle.
+//! In these terms `Λ(w) = (‖w‖_α / w_z − 1)/2`, so `G₁(w) = 2 w_z/(w_z + ‖w‖_α)` and
+//! `G₂(o, i) = 2 o_z i_z/(‖o‖_α i_z + ‖i‖_α o_z)`: no division by a cosine, finite at every angle.
 //!
-//! Papers: Walter et al. 2007; Heitz 2014; Dupuy and Benyoub 2023, *Sampling Visible GGX Normals with Spherical Caps*.
+//! Papers: Walter et al. 2007; Heitz 2014; Dupuy and Benyoub 2023, *Sampling Visible GGX Normals
+//! with Spherical Caps*.
 
 use std::f32::consts::FRAC_1_PI;
 
@@ -19,12 +20,12 @@ use glam::{Vec2, Vec3};
 
 use crate::math::warp::{one_minus_z, sin_cos_turn, turn_of};
 
-/// Surfaces whose larger α is below this are perfectly smooth (as in pbrt-v4): a lobe narrower than 10⁻³ rad looks the same, and
-/// directions in single precision no longer resolve its density.
+/// Surfaces whose larger α is below this are perfectly smooth (as in pbrt-v4): a lobe narrower than
+/// 10⁻³ rad looks the same, and directions in single precision no longer resolve its density.
 pub(super) const SMOOTH: f32 = 1e-3;
 
-/// The smaller α of a surface that is not [`SMOOTH`]: at 10⁻⁴ the microfacet normal of two unit vectors in single precision is still
-/// known to 10⁻³ of the lobe's width.
+/// The smaller α of a surface that is not [`SMOOTH`]: at 10⁻⁴ the microfacet normal of two unit
+/// vectors in single precision is still known to 10⁻³ of the lobe's width.
 const NARROWEST: f32 = 1e-4;
 
 /// Roughness along both tangents.
@@ -79,8 +80,9 @@ impl Ggx {
         (s.length_squared() + w.z * w.z).sqrt()
     }
 
-    /// Density of reflected directions, `D(h) G₁(o)/(4 o_z)`, and `D(h) G₂/(4 o_z)`, the reflected light times the incident cosine for F = 1.
-    /// `wo` and `wi` above the horizon, `h` their unit half vector.
+    /// Density of reflected directions, `D(h) G₁(o)/(4 o_z)`, and `D(h) G₂/(4 o_z)`, the reflected
+    /// light times the incident cosine for F = 1. `wo` and `wi` above the horizon, `h` their unit
+    /// half vector.
     #[inline]
     pub(super) fn reflection(&self, wo: Vec3, wi: Vec3, h: Vec3) -> (f32, f32) {
         let d = 0.5 * self.density(h);
@@ -88,7 +90,8 @@ impl Ggx {
         (d / (wo.z + o), d * wi.z / (o * wi.z + i * wo.z))
     }
 
-    /// A visible normal of `wo` (`o_z` > 0), density `D(h) G₁(o) (o·h)/o_z` (Dupuy and Benyoub 2023, listing 3).
+    /// A visible normal of `wo` (`o_z` > 0), density `D(h) G₁(o) (o·h)/o_z` (Dupuy and Benyoub
+    /// 2023, listing 3).
     #[inline]
     pub(super) fn sample_visible(&self, wo: Vec3, u: Vec2) -> Vec3 {
         let v = self.stretch(wo);

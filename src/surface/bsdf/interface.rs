@@ -1,9 +1,11 @@
-//! How much a rough dielectric interface reflects in total: E(μ; α, η) = ∫ F(o·h) G₂/G₁ over the visible normals of a direction with cosine μ.
+//! How much a rough dielectric interface reflects in total: E(μ; α, η) = ∫ F(o·h) G₂/G₁ over the
+//! visible normals of a direction with cosine μ.
 //!
-//! Tabulated row by row (one α, one η) on first use, over ⁴√μ and ⁴√α, which resolve the corner μ ~ α ~ 0; linear between.
-//! Indices between the table's nodes are interpolated in (η − 1)/(η + 1); η = 1.5 is a node. For α of 0.002 and more the table differs from
-//! quadrature by less than 10⁻³. The average over the hemisphere is that of the interpolant itself, so what is reflected and what is
-//! not sum to 1.
+//! Tabulated row by row (one α, one η) on first use, over ⁴√μ and ⁴√α, which resolve the corner μ ~
+//! α ~ 0; linear between. Indices between the table's nodes are interpolated in (η − 1)/(η + 1);
+//! η = 1.5 is a node. For α of 0.002 and more the table differs from quadrature by less than 10⁻³.
+//! The average over the hemisphere is that of the interpolant itself, so what is reflected and what
+//! is not sum to 1.
 
 use std::sync::OnceLock;
 
@@ -78,7 +80,8 @@ pub(crate) fn index_cell(eta: f32) -> (usize, usize, f32) {
     (index, if b > 0.0 { index + 1 } else { index }, b)
 }
 
-/// Rows of index number `index`, one for each roughness number in `alphas`: its values, then its mean.
+/// Rows of index number `index`, one for each roughness number in `alphas`: its values, then its
+/// mean.
 #[cfg(feature = "gpu")]
 pub(crate) fn rows_of(index: usize, alphas: std::ops::RangeInclusive<usize>) -> Vec<f32> {
     alphas
@@ -112,7 +115,8 @@ fn node(i: usize) -> f32 {
 impl Row {
     fn new(alpha: f32, eta: f32) -> Self {
         let values = std::array::from_fn(|i| quadrature(node(i), alpha, eta));
-        // 2μ dμ = 8 x⁷ dx, times a linear function: four Gauss–Legendre nodes a cell are exact to rounding.
+        // 2μ dμ = 8 x⁷ dx, times a linear function: four Gauss–Legendre nodes a cell are exact to
+        // rounding.
         let mut mean = 0.0;
         for cell in 0..NODES - 1 {
             for (t, weight) in GAUSS_4 {

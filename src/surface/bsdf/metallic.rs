@@ -1,4 +1,5 @@
-//! The metallic-roughness surface of glTF 2.0 (specification, appendix B) with `KHR_materials_ior`, `_specular` and `_transmission`.
+//! The metallic-roughness surface of glTF 2.0 (specification, appendix B) with `KHR_materials_ior`,
+//! `_specular` and `_transmission`.
 //!
 //! | symbol | meaning |
 //! |---|---|
@@ -13,9 +14,10 @@
 //! | 1 diffuse | (1 − metallic)(1 − transmission) base `T(o_z) T(i_z)/(π T̄)` |
 //! | 2 transmission, thin-walled | (1 − metallic) transmission base `T(o·h) D G₂/(4 o_z i_z)`, i mirrored in z; a delta where smooth |
 //!
-//! Deviation: the specification's diffuse factor is 1 − F(o·h), with which a grazing view reflects up to 1.9 times what arrives. `T(o_z) T(i_z)/T̄`
-//! (Kelemen and Szirmay-Kalos 2001) is reciprocal, keeps the sum below 1 (the diffuse lobe is scaled by 0.996 for that) and differs by a few percent at steep angles. The back of a
-//! surface that is not double-sided is black.
+//! Deviation: the specification's diffuse factor is 1 − F(o·h), with which a grazing view reflects
+//! up to 1.9 times what arrives. `T(o_z) T(i_z)/T̄` (Kelemen and Szirmay-Kalos 2001) is reciprocal,
+//! keeps the sum below 1 (the diffuse lobe is scaled by 0.996 for that) and differs by a few
+//! percent at steep angles. The back of a surface that is not double-sided is black.
 
 use std::f32::consts::FRAC_1_PI;
 
@@ -28,17 +30,20 @@ use crate::math::warp::{invert_cosine_hemisphere, sample_cosine_hemisphere};
 /// ∫ w(μ) 2μ dμ.
 const MEAN_SCHLICK: f32 = 1.0 / 21.0;
 
-/// Factor on the diffuse lobe. A rough interface reflects a little more than `F(o_z)` at steep angles, as its microfacets lean away: with
-/// the sum at smooth surfaces' 1, a white one reached 1.0032 (n = 1.5, roughness 0.3, `o_z` = 0.6).
+/// Factor on the diffuse lobe. A rough interface reflects a little more than `F(o_z)` at steep
+/// angles, as its microfacets lean away: with the sum at smooth surfaces' 1, a white one reached
+/// 1.0032 (n = 1.5, roughness 0.3, `o_z` = 0.6).
 const DIFFUSE_SHARE: f32 = 0.996;
 
 /// Least w in the estimate of the specular lobe: it reflects at o·h < 1 even where `o_z` = 1.
 const LEAST_SCHLICK: f32 = 0.01;
 
-/// Least T in the estimate of the transmission lobe, whose microfacets are never all at grazing angles.
+/// Least T in the estimate of the transmission lobe, whose microfacets are never all at grazing
+/// angles.
 const LEAST_TRANSMITTANCE: f32 = 0.05;
 
-/// Parameters of a metallic-roughness surface at a point; see the glTF 2.0 specification, section 3.9.
+/// Parameters of a metallic-roughness surface at a point; see the glTF 2.0 specification, section
+/// 3.9.
 #[derive(Clone, Copy, Debug)]
 pub struct MetallicRoughness {
     /// Albedo of the dielectric part, F₀ of the metallic part; in [0, 1].

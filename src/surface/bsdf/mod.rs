@@ -1,7 +1,9 @@
-//! How a point of a surface scatters light: a few lobes, each with its value, density, sample and inverse.
+//! How a point of a surface scatters light: a few lobes, each with its value, density, sample and
+//! inverse.
 //!
-//! Directions are unit vectors in the local shading frame (normal +z) and point away from the surface; `wo` is where the light is looked at
-//! from, `wi` where it comes from. Radiance is transported: light refracted into a medium of η times the index leaves with 1/η² of its value.
+//! Directions are unit vectors in the local shading frame (normal +z) and point away from the
+//! surface; `wo` is where the light is looked at from, `wi` where it comes from. Radiance is
+//! transported: light refracted into a medium of η times the index leaves with 1/η² of its value.
 //!
 //! | symbol | meaning |
 //! |---|---|
@@ -9,10 +11,12 @@
 //! | p(i, ℓ) | density of choosing lobe ℓ *and* direction i, per solid angle of i: "joint" |
 //! | p(i) | Σ p(i, ℓ) over the lobes that are not deltas: "marginal" |
 //!
-//! A material's lobes are numbered from 0, at most 6, in an order that never depends on its parameters: paths store lobe numbers. One word
-//! chooses the lobe, two floats its direction; a lobe's direction map is invertible ([`Bsdf::invert`]).
+//! A material's lobes are numbered from 0, at most 6, in an order that never depends on its
+//! parameters: paths store lobe numbers. One word chooses the lobe, two floats its direction; a
+//! lobe's direction map is invertible ([`Bsdf::invert`]).
 //!
-//! Both sides: opaque surfaces reflect on the side of `wo`. At `o_z` = 0 or `i_z` = 0 everything is zero. Surfaces with α < 10⁻³ are deltas (as in pbrt-v4).
+//! Both sides: opaque surfaces reflect on the side of `wo`. At `o_z` = 0 or `i_z` = 0 everything is
+//! zero. Surfaces with α < 10⁻³ are deltas (as in pbrt-v4).
 
 mod coated;
 mod conductor;
@@ -65,7 +69,8 @@ impl Evaluation {
 pub struct BsdfSample {
     /// Where the light comes from.
     pub wi: Vec3,
-    /// `f |cos θ_i|` of all lobes that are not deltas; for a delta its share of the light times `pdf`.
+    /// `f |cos θ_i|` of all lobes that are not deltas; for a delta its share of the light times
+    /// `pdf`.
     pub value: Vec3,
     /// Marginal density per solid angle; for a delta its probability. Positive.
     pub pdf: f32,
@@ -79,7 +84,8 @@ pub struct BsdfSample {
     pub eta: f32,
 }
 
-/// What a family of lobes answers. Lobe sets are bit masks, so that one lobe and all lobes are the same code.
+/// What a family of lobes answers. Lobe sets are bit masks, so that one lobe and all lobes are the
+/// same code.
 trait Lobes {
     /// Number of lobes.
     fn count(&self) -> u32;
@@ -107,7 +113,8 @@ trait Lobes {
         }
         (value, pdf)
     }
-    /// The direction map of a lobe that is not a delta; `None` where it leaves the lobe's hemisphere.
+    /// The direction map of a lobe that is not a delta; `None` where it leaves the lobe's
+    /// hemisphere.
     fn direction(&self, lobe: u32, wo: Vec3, u: Vec2) -> Option<Vec3>;
     /// Inverse of [`Lobes::direction`] for a `wi` with a positive density.
     fn invert(&self, lobe: u32, wo: Vec3, wi: Vec3) -> Option<Vec2>;
@@ -310,7 +317,8 @@ impl Lobes for Mix {
     }
 }
 
-/// The lobe that a word chooses. All 32 bits count: a lobe of probability 10⁻⁶ is chosen that often.
+/// The lobe that a word chooses. All 32 bits count: a lobe of probability 10⁻⁶ is chosen that
+/// often.
 #[inline]
 fn choose_lobe<L: Lobes>(lobes: &L, wo: Vec3, word: u32) -> Option<u32> {
     let count = lobes.count();
@@ -376,7 +384,8 @@ impl Bsdf {
         Self::one(Part::Diffuse(Diffuse { reflectance }))
     }
 
-    /// Lambert reflection (lobe 0) and transmission (lobe 1); per channel the albedos sum to at most 1.
+    /// Lambert reflection (lobe 0) and transmission (lobe 1); per channel the albedos sum to at
+    /// most 1.
     #[inline]
     #[must_use]
     pub fn diffuse_transmission(reflectance: Vec3, transmittance: Vec3) -> Self {
@@ -397,7 +406,8 @@ impl Bsdf {
         Self::one(Part::Conductor(Conductor::from_reflectance(color, Ggx::new(alpha))))
     }
 
-    /// Glass of index `eta` inside over outside: reflection (lobe 0) and refraction (lobe 1), deltas where both `alpha` are below 10⁻³.
+    /// Glass of index `eta` inside over outside: reflection (lobe 0) and refraction (lobe 1),
+    /// deltas where both `alpha` are below 10⁻³.
     #[inline]
     #[must_use]
     pub fn dielectric(eta: f32, alpha: Vec2) -> Self {
@@ -411,21 +421,24 @@ impl Bsdf {
         Self::one(Part::ThinDielectric(ThinDielectric { eta }))
     }
 
-    /// A dielectric coat of index `eta` >= 1 (lobe 0) over a Lambert base (lobe 1): an analytic plastic.
+    /// A dielectric coat of index `eta` >= 1 (lobe 0) over a Lambert base (lobe 1): an analytic
+    /// plastic.
     #[inline]
     #[must_use]
     pub fn coated_diffuse(reflectance: Vec3, eta: f32, alpha: Vec2) -> Self {
         Self::one(Part::Coated(Coated::new(reflectance, eta, alpha)))
     }
 
-    /// glTF's metallic-roughness surface: specular (lobe 0), diffuse (lobe 1), thin-walled transmission (lobe 2).
+    /// glTF's metallic-roughness surface: specular (lobe 0), diffuse (lobe 1), thin-walled
+    /// transmission (lobe 2).
     #[inline]
     #[must_use]
     pub fn metallic_roughness(parameters: &MetallicRoughness) -> Self {
         Self::one(Part::Metallic(Metallic::new(parameters)))
     }
 
-    /// `1 − amount` of the first and `amount` of the second one's light. `None` where either is itself a mix.
+    /// `1 − amount` of the first and `amount` of the second one's light. `None` where either is
+    /// itself a mix.
     #[must_use]
     pub fn mix(first: &Self, second: &Self, amount: f32) -> Option<Self> {
         match (first.kind, second.kind) {
@@ -457,18 +470,20 @@ impl Bsdf {
         each!(self, lobes => lobes.has_non_delta())
     }
 
-    /// Whether no light leaves in any direction: neither light sampling nor scattering can contribute.
+    /// Whether no light leaves in any direction: neither light sampling nor scattering can
+    /// contribute.
     #[inline]
     #[must_use]
     pub fn is_black(&self) -> bool {
         each!(self, lobes => lobes.is_black())
     }
 
-    /// A direction. `words[0]` chooses the lobe with all of its bits, `words[1]` and `words[2]` the direction (as
-    /// [`unit_float`]).
+    /// A direction. `words[0]` chooses the lobe with all of its bits, `words[1]` and `words[2]` the
+    /// direction (as [`unit_float`]).
     ///
-    /// Value and density of a sample that is not a delta are totals over all lobes that are not. `None` is a sample of value 0: a
-    /// microfacet reflected below the horizon, `o_z` = 0, or no lobe has light.
+    /// Value and density of a sample that is not a delta are totals over all lobes that are not.
+    /// `None` is a sample of value 0: a microfacet reflected below the horizon, `o_z` = 0, or no
+    /// lobe has light.
     #[inline]
     #[must_use]
     pub fn sample(&self, wo: Vec3, words: [u32; 4]) -> Option<BsdfSample> {
@@ -485,7 +500,8 @@ impl Bsdf {
         each!(self, lobes => lobes.evaluate(wo, wi, ALL))
     }
 
-    /// [`Bsdf::evaluate`] of eight `wi`, value and density, to the bit; where not `alive` it may be anything finite.
+    /// [`Bsdf::evaluate`] of eight `wi`, value and density, to the bit; where not `alive` it may be
+    /// anything finite.
     #[inline(always)]
     pub(crate) fn evaluate_lanes(&self, wo: Vec3, wi: &Lanes3, alive: Mask) -> (Lanes3, Lanes) {
         match &self.kind {
@@ -499,8 +515,8 @@ impl Bsdf {
         each!(self, lobes => lobes.evaluate_lanes(wo, wi, alive))
     }
 
-    /// One lobe, with its joint density (the lobe's probability times its own); zero for deltas. The sum over lobes is
-    /// [`Bsdf::evaluate`].
+    /// One lobe, with its joint density (the lobe's probability times its own); zero for deltas.
+    /// The sum over lobes is [`Bsdf::evaluate`].
     #[inline]
     #[must_use]
     pub fn evaluate_lobe(&self, lobe: u32, wo: Vec3, wi: Vec3) -> Evaluation {
@@ -508,7 +524,8 @@ impl Bsdf {
         each!(self, lobes => lobes.evaluate(wo, wi, 1 << lobe))
     }
 
-    /// The floats from which a lobe's direction map makes `wi`; `None` where it never does, and for deltas.
+    /// The floats from which a lobe's direction map makes `wi`; `None` where it never does, and for
+    /// deltas.
     #[inline]
     #[must_use]
     pub fn invert(&self, lobe: u32, wo: Vec3, wi: Vec3) -> Option<Vec2> {

@@ -1,7 +1,8 @@
 //! All lobes under one harness.
 //!
-//! Statistical tests use fixed seeds and α = 10⁻⁶ each; with 5·10⁴ samples on 20 × 20 cells a relative density error of 7 % (rms) is found
-//! with probability 0.99, and an error of the density's integral of 0.1 % in any case. `planted_errors_are_found` is the control.
+//! Statistical tests use fixed seeds and α = 10⁻⁶ each; with 5·10⁴ samples on 20 × 20 cells a
+//! relative density error of 7 % (rms) is found with probability 0.99, and an error of the
+//! density's integral of 0.1 % in any case. `planted_errors_are_found` is the control.
 
 use std::f32::consts::FRAC_1_PI;
 
@@ -75,7 +76,8 @@ fn words(stream: &mut Stream) -> [u32; 4] {
     std::array::from_fn(|_| stream.word())
 }
 
-/// Directional albedo of one or all lobes over a regular grid of u: Σ over lobes of the mean of value/pdf times the lobe's probability.
+/// Directional albedo of one or all lobes over a regular grid of u: Σ over lobes of the mean of
+/// value/pdf times the lobe's probability.
 fn albedo(bsdf: &Bsdf, wo: Vec3, grid: u32) -> Vec3 {
     let mut sum = glam::DVec3::ZERO;
     for lobe in 0..bsdf.lobe_count() {
@@ -108,7 +110,8 @@ fn every_lobe_samples_its_density() {
     let mut failures = Vec::new();
     for (alpha, anisotropy) in [(0.1, 1.0), (0.5, 10.0), (1.0, 1.0)] {
         for (name, bsdf) in families(alpha, anisotropy) {
-            // Mixes have no direction map of their own; Lambert does not depend on roughness; a metal is a conductor.
+            // Mixes have no direction map of their own; Lambert does not depend on roughness; a
+            // metal is a conductor.
             if name == "metal"
                 || name.starts_with("mix")
                 || (name.starts_with("diffuse") && alpha != 1.0)
@@ -130,8 +133,8 @@ fn every_lobe_samples_its_density() {
                             assert!(lobe_pdf(&bsdf, lobe, wo, wi) > 0.0, "{name} {wo} {wi}");
                             Some(wi)
                         },
-                        // The floor is for cells that only the rim of a refraction lobe reaches, between the nodes of their
-                        // quadrature; it adds 10⁻⁷ to the integral.
+                        // The floor is for cells that only the rim of a refraction lobe reaches,
+                        // between the nodes of their quadrature; it adds 10⁻⁷ to the integral.
                         |wi| lobe_pdf(&bsdf, lobe, wo, wi).max(1e-8),
                     );
                     if !check.agrees(ALPHA) {
@@ -248,7 +251,8 @@ fn inversion_and_jacobian() {
                             });
                             let mut error = (back - u).abs();
                             error.x = error.x.min(1.0 - error.x);
-                            // o + η i is known to 2⁻²³ or so, its direction by that over its length, slopes relative to α.
+                            // o + η i is known to 2⁻²³ or so, its direction by that over its
+                            // length, slopes relative to α.
                             let eta = each!(&bsdf, lobes => lobes.eta(lobe, wo));
                             let reflected = wi.z * wo.z > 0.0 || name == "metallic-roughness";
                             let side = if reflected { wi.z.abs().copysign(wo.z) } else { wi.z };
@@ -375,7 +379,8 @@ fn light_paths_are_reversible() {
                 _ => 1.0,
             };
             let difference = (forward - ratio * backward).abs().max_element();
-            // F and D amplify the rounding of h where it is nearly perpendicular to either direction.
+            // F and D amplify the rounding of h where it is nearly perpendicular to either
+            // direction.
             let eta = if ratio == 1.0 {
                 1.0
             } else if wo.z > 0.0 {
@@ -395,8 +400,9 @@ fn light_paths_are_reversible() {
 
 #[test]
 fn microfacets_lose_the_known_share_of_light() {
-    // Directional albedo for F = 1, height-correlated Smith; computed by double-precision quadrature of the same integral, three of
-    // them also over directions. For α = 1, μ = 1 it is 1 − ln 2.
+    // Directional albedo for F = 1, height-correlated Smith; computed by double-precision
+    // quadrature of the same integral, three of them also over directions. For α = 1, μ = 1 it is 1
+    // − ln 2.
     let known = [
         (0.1, [0.988_316, 0.969_214, 0.883_456]),
         (0.25, [0.915_813, 0.857_264, 0.891_621]),
@@ -496,7 +502,8 @@ fn slab_of_glass_passes_the_known_share() {
         let wo = direction(mu, 0.3);
         let (_, mirrored) = step(0, wo);
         let (inside, mut throughput) = step(1, wo);
-        // The path goes down: at the lower face it is seen from above, from inside of the glass, whose normal there points down.
+        // The path goes down: at the lower face it is seen from above, from inside of the glass,
+        // whose normal there points down.
         let (mut back, mut forth) = (mirrored, 0.0_f64);
         let view = -inside;
         let flipped = Vec3::new(view.x, view.y, -view.z);

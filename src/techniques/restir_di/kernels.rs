@@ -1,5 +1,5 @@
-//! The technique's own kernels, and the choice of types for those of reuse: policy, target and coverage
-//! filter are types, so that no ray asks for them.
+//! The technique's own kernels, and the choice of types for those of reuse: policy, target and
+//! coverage filter are types, so that no ray asks for them.
 
 use glam::Vec3;
 
@@ -95,7 +95,7 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
         band: &mut Band<'_>,
     ) -> Counters {
         let domain = self.light_points::<IN_TARGET>();
-        let reuse = Reuse { domain: &domain, policy, settings: self.technique.settings() };
+        let reuse = Reuse::new(&domain, policy, self.technique.settings());
         match kernel {
             reuse_kernel::INITIAL => domain.initial(policy, self.sources(), band),
             reuse_kernel::TEMPORAL => reuse.temporal(band),
@@ -154,8 +154,8 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
         counters
     }
 
-    /// The path tracer's share: all light, or what is left beside the resampled light, which is there
-    /// already.
+    /// The path tracer's share: all light, or what is left beside the resampled light, which is
+    /// there already.
     fn paths<const ALL: bool>(&self, band: &mut Band<'_>) -> Counters {
         let mut counters = Counters::default();
         let inputs = self.inputs;

@@ -1,8 +1,9 @@
-//! Direct light by resampling: `ris` (candidates only) and `restir-di` (reuse over time and space; Bitterli et al. 2020, with the MIS weights of
-//! Lin et al. 2022).
+//! Direct light by resampling: `ris` (candidates only) and `restir-di` (reuse over time and space;
+//! Bitterli et al. 2020, with the MIS weights of Lin et al. 2022).
 //!
-//! What is resampled is light that comes straight to the primary hit and leaves it by a lobe that is not a delta. All other light, through
-//! delta lobes there or over more segments, comes from the path tracer with fresh seeds.
+//! What is resampled is light that comes straight to the primary hit and leaves it by a lobe that
+//! is not a delta. All other light, through delta lobes there or over more segments, comes from the
+//! path tracer with fresh seeds.
 //!
 //! | pass | reads | writes |
 //! |---|---|---|
@@ -15,7 +16,8 @@
 //! | shade | reservoirs | radiance, where there is no spatial pass |
 //! | paths | hits | adds all other light to radiance |
 //!
-//! `history` keeps its contents from one frame to the next: it is read by `temporal` before the last spatial round overwrites it.
+//! `history` keeps its contents from one frame to the next: it is read by `temporal` before the
+//! last spatial round overwrites it.
 
 mod kernels;
 mod plan;
@@ -141,7 +143,8 @@ impl Choice for LightTiles {
 /// `ris` ([`RestirDi::ris`]) and `restir-di` ([`RestirDi::default`]).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RestirDi {
-    /// Whether reservoirs are kept and reused; without it only candidates, visibility and roulette count.
+    /// Whether reservoirs are kept and reused; without it only candidates, visibility and roulette
+    /// count.
     pub reuse: bool,
     /// Light samples a pixel, frame and unit of effort, in [0, 1024].
     ///
@@ -161,7 +164,8 @@ pub struct RestirDi {
     pub temporal_mis: Family,
     /// Pixels asked a round, in [0, 8]. 0 is no spatial reuse.
     pub neighbours: u32,
-    /// How far away they are at most, in pixels, in [1, 1000]; 20 to 30 in the papers, for pictures eight times as wide.
+    /// How far away they are at most, in pixels, in [1, 1000]; 20 to 30 in the papers, for pictures
+    /// eight times as wide.
     ///
     /// Higher is less correlation, and more neighbours that do not fit.
     pub radius: f32,
@@ -173,13 +177,14 @@ pub struct RestirDi {
     pub mis: Family,
     /// What becomes of the spatial result.
     pub spatial: SpatialUse,
-    /// Where nothing moves, frames of history from which a pixel takes nothing from its neighbours, in
-    /// [0, 250]; 0: every pixel always takes.
+    /// Where nothing moves, frames of history from which a pixel takes nothing from its neighbours,
+    /// in [0, 250]; 0: every pixel always takes.
     pub mature: u32,
-    /// What is done with shadow rays. Visibility in the target is the default: of all policies it had the least relmse times time on
-    /// `penumbra` and `many-lights:1000` (`docs/results.md`).
+    /// What is done with shadow rays. Visibility in the target is the default: of all policies it
+    /// had the least relmse times time on `penumbra` and `many-lights:1000` (`docs/results.md`).
     pub visibility: Visibility,
-    /// With [`Visibility::Reuse`], frames that a stored outcome may be old, in [0, 255]; 255 is any number.
+    /// With [`Visibility::Reuse`], frames that a stored outcome may be old, in [0, 255]; 255 is any
+    /// number.
     pub visibility_age: u32,
     /// With [`Visibility::Reuse`], pixels that a stored outcome may come from, in [0, 127].
     ///
@@ -336,7 +341,8 @@ impl RestirDi {
             still,
             target_proportional: facts.grey_lights && !facts.glossy_lobes && !facts.transmission,
             own_visibility,
-            // A pixel that takes from itself alone loses nothing with what it does not see, unless chains lead back there.
+            // A pixel that takes from itself alone loses nothing with what it does not see, unless
+            // chains lead back there.
             drops_occluded: self.visibility == Visibility::Bitterli
                 && (spatial || !still || self.mutations > 0),
             streamed_partition: (!spatial || self.mis.terms_partition_unity())

@@ -32,7 +32,8 @@ pub(super) struct Motions {
     pub(super) time: [f32; 2],
 }
 
-/// Reads all animations; they play at the same time, and where two drive the same property of a node the first one counts.
+/// Reads all animations; they play at the same time, and where two drive the same property of a
+/// node the first one counts.
 pub(super) fn read(root: &Root, buffers: &Buffers<'_>, warnings: &mut Warnings) -> Result<Motions> {
     let mut motions = Motions::default();
     let mut time: Option<[f32; 2]> = None;
@@ -190,7 +191,8 @@ fn curve<const N: usize, T>(
     Ok(Curve { keys, interpolation })
 }
 
-/// Cubic Hermite spline from `p` with tangent `m` at t = 0 to `q` with tangent `n` at t = 1 (glTF 2.0, appendix C.5).
+/// Cubic Hermite spline from `p` with tangent `m` at t = 0 to `q` with tangent `n` at t = 1 (glTF
+/// 2.0, appendix C.5).
 fn hermite<const N: usize>(p: [f32; N], m: [f32; N], q: [f32; N], n: [f32; N], t: f32) -> [f32; N] {
     let (t2, t3) = (t * t, t * t * t);
     std::array::from_fn(|i| {

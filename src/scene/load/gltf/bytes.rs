@@ -1,4 +1,5 @@
-//! The bytes of a glTF file: container, resources, accessors. Every range is checked here, so nothing later can read outside of it.
+//! The bytes of a glTF file: container, resources, accessors. Every range is checked here, so
+//! nothing later can read outside of it.
 
 use std::borrow::Cow;
 use std::cell::Cell;
@@ -11,7 +12,8 @@ use gltf::json::{Accessor, Index, Root, accessor, buffer};
 
 use crate::error::{Error, Result};
 
-/// Splits a binary glTF into its JSON and its binary chunk; anything that does not begin with `glTF` is JSON.
+/// Splits a binary glTF into its JSON and its binary chunk; anything that does not begin with
+/// `glTF` is JSON.
 pub(super) fn split(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>)> {
     if !bytes.starts_with(b"glTF") {
         return Ok((bytes, None));
@@ -155,7 +157,8 @@ fn base64(text: &str) -> Result<Vec<u8>> {
 pub(super) struct Buffers<'a> {
     root: &'a Root,
     bytes: Vec<Cow<'a, [u8]>>,
-    /// Elements that may still be decoded: a small file can refer to the same bytes any number of times.
+    /// Elements that may still be decoded: a small file can refer to the same bytes any number of
+    /// times.
     budget: Cell<u64>,
 }
 
@@ -291,7 +294,8 @@ impl<'a> Buffers<'a> {
         Ok(self.accessor(index)?.1)
     }
 
-    /// Elements of `N` numbers, integers normalised where the accessor says so. `range` must lie inside the accessor.
+    /// Elements of `N` numbers, integers normalised where the accessor says so. `range` must lie
+    /// inside the accessor.
     pub(super) fn floats<const N: usize>(
         &self,
         index: Index<Accessor>,
@@ -374,7 +378,8 @@ impl<'a> Buffers<'a> {
         Ok(values)
     }
 
-    /// The replaced elements of a sparse accessor: their indices, all below `count`, and their rows.
+    /// The replaced elements of a sparse accessor: their indices, all below `count`, and their
+    /// rows.
     fn sparse(
         &self,
         sparse: &accessor::sparse::Sparse,

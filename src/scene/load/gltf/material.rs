@@ -342,10 +342,12 @@ impl Materials<'_> {
     }
 }
 
-/// Surface (u, v) to [`Texture`] coordinates under `KHR_texture_transform`: translation · rotation · scale, then t = 1 − v.
+/// Surface (u, v) to [`Texture`] coordinates under `KHR_texture_transform`: translation · rotation
+/// · scale, then t = 1 − v.
 ///
-/// Positive angles turn (u, v) counter-clockwise as seen with v pointing down. The matrix printed in the extension turns the other
-/// way, which its editors call an error (KhronosGroup/glTF issue 1563).
+/// Positive angles turn (u, v) counter-clockwise as seen with v pointing down. The matrix printed
+/// in the extension turns the other way, which its editors call an error (KhronosGroup/glTF issue
+/// 1563).
 fn uv_to_st(offset: Vec2, rotation: f32, scale: Vec2) -> Affine2 {
     let (sin, cos) = rotation.sin_cos();
     let turn = Mat2::from_cols(Vec2::new(cos, -sin), Vec2::new(sin, cos));

@@ -148,7 +148,8 @@ impl Builder {
         })
     }
 
-    /// Refuses what [`Builder::emission`] cannot use, at the directive instead of at the first shape.
+    /// Refuses what [`Builder::emission`] cannot use, at the directive instead of at the first
+    /// shape.
     pub(super) fn check_area_light(&mut self, params: &Params) -> Result<()> {
         if params.has("power") {
             return params

@@ -1,4 +1,5 @@
-//! pbrt-v4 text: directives to a [`Scene`]. What is read, approximated or refused stands in `docs/scenes.md`.
+//! pbrt-v4 text: directives to a [`Scene`]. What is read, approximated or refused stands in
+//! `docs/scenes.md`.
 //!
 //! | file | part |
 //! |---|---|
@@ -570,7 +571,8 @@ impl Builder {
             .add_once("media", format!("{place}: media are ignored: light passes them unchanged"));
     }
 
-    /// A file that the scene refers to: beside the first file, as in pbrt, or else beside the file that names it.
+    /// A file that the scene refers to: beside the first file, as in pbrt, or else beside the file
+    /// that names it.
     fn resolve(&self, name: &str, place: &Place) -> PathBuf {
         let first = self.folder.join(name);
         let beside = place.path.parent().unwrap_or(Path::new("")).join(name);

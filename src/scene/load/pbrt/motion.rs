@@ -1,10 +1,12 @@
-//! The current transformation at the start and at the end of the motion, and its conversion to [`Transform`].
+//! The current transformation at the start and at the end of the motion, and its conversion to
+//! [`Transform`].
 
 use glam::{Affine3A, DAffine3, DMat3, DQuat, DVec3, Quat, Vec3};
 
 use crate::scene::{Curve, Interpolation, Track, Transform};
 
-/// Relative difference below which two matrices from a text file, printed with six digits, count as equal.
+/// Relative difference below which two matrices from a text file, printed with six digits, count as
+/// equal.
 const TOLERANCE: f64 = 1e-4;
 
 /// Local space to world at the two ends of the motion.
@@ -41,8 +43,9 @@ impl Ctm {
 
     /// As links, outermost first, with keys at `times`.
     ///
-    /// pbrt interpolates translation, rotation and stretch of the polar decomposition M = T R S one by one; this does the same where S is
-    /// a scale along the axes or does not change. `None` where S changes and shears.
+    /// pbrt interpolates translation, rotation and stretch of the polar decomposition M = T R S one
+    /// by one; this does the same where S is a scale along the axes or does not change. `None`
+    /// where S changes and shears.
     pub(super) fn to_transform(self, times: [f64; 2]) -> Option<Transform> {
         if !self.moves() {
             return Some(Transform::Fixed(single(self.ends[0])));
@@ -108,7 +111,8 @@ fn near(a: DMat3, b: DMat3) -> bool {
     size(a - b) <= TOLERANCE * size(a).max(size(b))
 }
 
-/// M = translation · rotation · stretch, with a symmetric stretch; a mirrored M has a negative definite one.
+/// M = translation · rotation · stretch, with a symmetric stretch; a mirrored M has a negative
+/// definite one.
 struct Polar {
     translation: DVec3,
     rotation: DQuat,

@@ -1,8 +1,10 @@
 //! `Shape`: triangles, spheres, disks, placed or baked into world space.
 //!
-//! pbrt's normal of a surface is that of its own space, carried along by the transformation and turned by `ReverseOrientation`. A mesh
-//! that is baked by a mirroring transformation therefore gets `reverse_orientation` once more, since its winding is mirrored too; one
-//! that is placed by its instance does not. Vertex normals are stored as pbrt uses them: already turned by `ReverseOrientation`.
+//! pbrt's normal of a surface is that of its own space, carried along by the transformation and
+//! turned by `ReverseOrientation`. A mesh that is baked by a mirroring transformation therefore
+//! gets `reverse_orientation` once more, since its winding is mirrored too; one that is placed by
+//! its instance does not. Vertex normals are stored as pbrt uses them: already turned by
+//! `ReverseOrientation`.
 
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
@@ -162,7 +164,8 @@ impl Builder {
             let corners = [0, 1, 2, 3].map(|i| patch[i] as usize);
             let p = corners.map(|c| positions[c].as_dvec3());
             let (a, b, c) = (p[1] - p[0], p[2] - p[0], p[3] - p[0]);
-            // Flat if the fourth corner leaves the plane of the others by less than 10⁻⁴ of the patch's size.
+            // Flat if the fourth corner leaves the plane of the others by less than 10⁻⁴ of the
+            // patch's size.
             let size = a.length().max(b.length()).max(c.length());
             if a.cross(b).normalize_or_zero().dot(c).abs() > 1e-4 * size {
                 return params.place.unsupported(
@@ -187,7 +190,8 @@ impl Builder {
 }
 
 impl Shape {
-    /// Turns the vertex normals where asked, makes them unit vectors; drops them all and returns true where one has no direction.
+    /// Turns the vertex normals where asked, makes them unit vectors; drops them all and returns
+    /// true where one has no direction.
     fn reverse_orientation_of_normals(&mut self, reverse: bool) -> bool {
         let Geometry::Mesh(mesh) = &mut self.geometry else { return false };
         if mesh.normals.is_empty() {

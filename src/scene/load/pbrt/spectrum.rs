@@ -1,7 +1,9 @@
-//! Spectra to linear RGB (Rec. 709 primaries, D65 white). `docs/scenes.md` states what each conversion keeps.
+//! Spectra to linear RGB (Rec. 709 primaries, D65 white). `docs/scenes.md` states what each
+//! conversion keeps.
 //!
-//! Colour matching functions: the multi-lobe fit of Wyman, Sloan and Shirley 2013, equation 4 (CIE 1931, 2°), summed every nanometre
-//! from 360 to 830 nm. Metals: Mitsuba 3.9.1's RGB values of the same measured data, so that both renderers see the same metal.
+//! Colour matching functions: the multi-lobe fit of Wyman, Sloan and Shirley 2013, equation 4 (CIE
+//! 1931, 2°), summed every nanometre from 360 to 830 nm. Metals: Mitsuba 3.9.1's RGB values of the
+//! same measured data, so that both renderers see the same metal.
 
 use glam::{DMat3, DVec3, Vec3};
 
@@ -30,7 +32,8 @@ const METALS: [(&str, [f32; 3], [f32; 3]); 6] = [
     ("TiO2", [3.45661, 2.80174, 2.90517], [0.000_105_265, 0.0, 0.000_652_887]),
 ];
 
-/// Names of glasses with their index at 587.6 nm, interpolated in pbrt-v4's tables (of refractiveindex.info).
+/// Names of glasses with their index at 587.6 nm, interpolated in pbrt-v4's tables (of
+/// refractiveindex.info).
 const GLASSES: [(&str, f64); 7] = [
     ("glass-BK7", 1.516_801),
     ("glass-BAF10", 1.669_999),
@@ -100,7 +103,8 @@ pub(super) fn rgb(param: &Param, role: Role) -> Result<Vec3> {
     param.place.invalid(format!("`{}` is {value}; allowed in each channel: {allowed}", param.name))
 }
 
-/// One index of refraction: of a list, its value at the sodium line's neighbour d (587.6 nm), where glass makers state it.
+/// One index of refraction: of a list, its value at the sodium line's neighbour d (587.6 nm), where
+/// glass makers state it.
 pub(super) fn index_at_d(param: &Param) -> Result<f64> {
     match &param.values {
         Values::Numbers(_) => Ok(List::new(param)?.at(587.6, true)),
@@ -233,7 +237,8 @@ fn emission_rgb(spectrum: impl Fn(f64) -> f64) -> DVec3 {
     }
 }
 
-/// Seen under a blackbody of 6504 K (close to D65) relative to a white surface: a flat spectrum stays flat.
+/// Seen under a blackbody of 6504 K (close to D65) relative to a white surface: a flat spectrum
+/// stays flat.
 fn weighted_rgb(spectrum: impl Fn(f64) -> f64) -> DVec3 {
     let light = |nm: f64| blackbody(nm, 6504.0);
     let white = XYZ_TO_RGB * integrate(light);
@@ -257,7 +262,8 @@ mod tests {
 
     #[test]
     fn blackbody_chromaticities() {
-        // CIE 1931 chromaticity of Planckian radiators: 2856 K is (0.4476, 0.4074), 6500 K (0.3135, 0.3237) (CIE 15).
+        // CIE 1931 chromaticity of Planckian radiators: 2856 K is (0.4476, 0.4074), 6500 K (0.3135,
+        // 0.3237) (CIE 15).
         for (kelvin, x, y) in [(2856.0, 0.4476, 0.4074), (6500.0, 0.3135, 0.3237)] {
             let xyz = integrate(|nm| blackbody(nm, kelvin));
             let sum = xyz.x + xyz.y + xyz.z;

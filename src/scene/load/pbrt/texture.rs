@@ -148,8 +148,8 @@ impl Builder {
         }
     }
 
-    /// A picture of a file, read once. With `gray`, all channels hold what pbrt reads as a number: alpha where it is not 1 everywhere,
-    /// else the mean of red, green and blue.
+    /// A picture of a file, read once. With `gray`, all channels hold what pbrt reads as a number:
+    /// alpha where it is not 1 everywhere, else the mean of red, green and blue.
     pub(super) fn image(
         &mut self,
         name: &str,
