@@ -433,7 +433,7 @@ mod tests {
 
     #[test]
     fn keys_round_trip() {
-        let spec = "restir-di:visibility=reuse,boiling=0.2,max-age=60";
+        let spec = "restir-di:boiling=0.2,max-age=60,visibility=reuse";
         assert_eq!(parse(spec).unwrap().spec(), spec);
         assert_eq!(parse("ris:candidates=4").unwrap().spec(), "ris:candidates=4");
     }
