@@ -14,7 +14,7 @@
 //! | [`light`] | emitters in one table: choice, points on them, densities |
 //! | [`world`] | a scene at one time, ready for rays |
 //! | [`path`] | the walk from the camera, multiple importance sampling, counters |
-//! | [`direct`] | direct light as a domain of reuse: light points, their shift, candidates, mutations, visibility policies |
+//! | [`reuse`] | the passes of reuse for any kind of sample, with visibility policies; light points as the first |
 //! | [`resampling`] | the core of reuse, for any renderer: reservoirs, shift maps, MIS weights, merges, mutations, estimators |
 //! | [`plan`] | what a scene contains, and what a technique will therefore run and leave out |
 //! | [`twin`] | kernels for graphics processors as plain data |

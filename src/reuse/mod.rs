@@ -2,8 +2,8 @@
 //!
 //! | here | meaning |
 //! |---|---|
-//! | [`Domain`] | what a sample is, where it is received, how it is shifted, mutated and seen |
-//! | [`Policy`](policy::Policy) | what is done with the outcomes of shadow rays |
+//! | `Domain` | what a sample is, where it is received, how it is shifted, mutated and seen |
+//! | `Policy` | what is done with the outcomes of shadow rays |
 //! | [`Settings`] | the parameters that all passes share |
 //! | chain | one reservoir of a pixel with a history of its own; a pixel has `effort` of them |
 //! | tap | a neighbour of a pixel in one round of spatial reuse |
@@ -11,11 +11,11 @@
 //! | pass | reads | writes |
 //! |---|---|---|
 //! | initial | hits | reservoirs, normals (the domain's own kernel) |
-//! | [temporal] | reservoirs, the previous frame's history | reservoirs, in place |
-//! | [boiling] | reservoirs of a tile | reservoirs, in place; biased |
-//! | [mutate] | reservoirs | reservoirs, in place |
-//! | [spatial] | reservoirs | history (the last round, which also shades) |
-//! | [shade] | reservoirs | radiance, where there is no spatial pass |
+//! | temporal | reservoirs, the previous frame's history | reservoirs, in place |
+//! | boiling | reservoirs of a tile | reservoirs, in place; biased |
+//! | mutate | reservoirs | reservoirs, in place |
+//! | spatial | reservoirs | history (the last round, which also shades) |
+//! | shade | reservoirs | radiance, where there is no spatial pass |
 //!
 //! Laws that the passes keep for any domain and policy:
 //! 1. Which history and which neighbours a pixel takes is decided by surfaces and fresh numbers
