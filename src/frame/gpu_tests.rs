@@ -132,8 +132,8 @@ fn same_element(name: &str, a: &[u32], b: &[u32]) -> bool {
             let part = |w: u32| (w >> (16 * k)) as u16 as i16;
             part(a[0]).abs_diff(part(b[0])) <= 2
         }),
-        // Signed sums, whose terms may cancel: with 10⁻³ instead, 3 of 3,072 differ. Terms are of order
-        // 1 in these scenes; where they cancel to nothing, f32 leaves up to 2⁻²⁴ of them.
+        // Signed sums, whose terms may cancel: with 10⁻³ instead, 3 of 3,072 differ. Terms are of
+        // order 1 in these scenes; where they cancel to nothing, f32 leaves up to 2⁻²⁴ of them.
         "controls" | "bounce controls" | "history controls" => {
             let words = |w: &[u32]| -> crate::reuse::Control { bytemuck::cast([w[0], w[1]]) };
             let (a, b) = (words(a), words(b));
