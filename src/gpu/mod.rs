@@ -24,7 +24,7 @@ use std::collections::HashMap;
 use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
-pub(crate) use entry::{Lanes, Origin};
+pub(crate) use entry::{groups, workgroup};
 pub use shader::wgsl;
 pub(crate) use shader::{SceneConstants, Shader};
 pub(crate) use upload::{CameraRecord, Inputs, Links, MAX_BUFFERS, ProjectionRecord, SceneBuffers};

@@ -5,8 +5,9 @@ use std::collections::HashMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
 
 use super::compose::Composed;
-use super::entry::Lanes;
+use super::entry;
 use crate::error::{Error, Result};
+use crate::plan::Domain;
 use crate::twin::{Module, Twin};
 
 /// WGSL that needs nothing of this crate's scene. Each text is part of a module: put together what
@@ -120,7 +121,7 @@ impl SceneConstants {
 pub(crate) struct Shader {
     /// The kernel's function, which the entry point calls.
     pub(crate) name: &'static str,
-    lanes: Lanes,
+    domain: Domain,
     modules: Vec<Module>,
     pub(crate) constants: Vec<Constant>,
     /// What directives may ask for besides.
@@ -131,14 +132,14 @@ pub(crate) struct Shader {
 }
 
 impl Shader {
-    pub(crate) fn new(twin: &Twin, lanes: Lanes, scene: &SceneConstants) -> Self {
+    pub(crate) fn new(twin: &Twin, domain: Domain, scene: &SceneConstants) -> Self {
         let mut modules = SCENE.to_vec();
         modules.extend_from_slice(&twin.modules);
         let mut constants = scene.pairs();
         constants.extend_from_slice(&twin.constants);
         let flags = scene.flags().into_iter().chain(twin.flags.iter().copied()).collect();
         let (names, stack) = (twin.names.clone(), scene.stack);
-        Self { name: twin.kernel, lanes, modules, constants, flags, names, stack }
+        Self { name: twin.kernel, domain, modules, constants, flags, names, stack }
     }
 
     /// The whole module with its entry point, without what directives leave out.
@@ -150,11 +151,11 @@ impl Shader {
         for (name, value) in &self.names {
             generated.push_str(&format!("const {name}: u32 = {value}u;\n"));
         }
-        generated.push_str(&self.lanes.constants());
+        generated.push_str(&entry::constants(self.domain));
         let known: HashMap<&str, f64> = self.constants.iter().chain(&self.flags).copied().collect();
         let mut composed = Composed::new(&generated, &self.modules, &known)
             .map_err(|why| Error::gpu(format!("kernel `{}`: {why}", self.name)))?;
-        composed.generate(&self.lanes.entry_point(self.name));
+        composed.generate(&entry::entry_point(self.domain, self.name));
         Ok(composed)
     }
 
@@ -163,10 +164,5 @@ impl Shader {
         let mut hasher = DefaultHasher::new();
         source.hash(&mut hasher);
         format!("{} {:?} {:016x}", self.name, self.constants, hasher.finish())
-    }
-
-    /// The workgroups that cover a picture.
-    pub(crate) fn groups(&self, picture: [u32; 2]) -> [u32; 2] {
-        self.lanes.groups(picture)
     }
 }

@@ -43,7 +43,18 @@ const TABLE: &[(&str, &[&str])] = &[
     ),
     (
         "gpu",
-        &["reuse", "resampling", "counters", "world", "light", "surface", "accel", "scene", "math"],
+        &[
+            "reuse",
+            "plan",
+            "resampling",
+            "counters",
+            "world",
+            "light",
+            "surface",
+            "accel",
+            "scene",
+            "math",
+        ],
     ),
     (
         "techniques",

@@ -10,4 +10,4 @@ mod runner;
 
 pub(super) use flight::Device;
 #[cfg(test)]
-pub(crate) use runner::{bind, lanes, twins};
+pub(crate) use runner::{bind, twins};

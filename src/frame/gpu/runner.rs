@@ -9,11 +9,11 @@ use glam::{Vec3, Vec4};
 use crate::counters::Counters;
 use crate::error::{Error, Result};
 use crate::gpu::{
-    CameraRecord, Gpu, Inputs, Lanes, Links, MAX_BUFFERS, Origin, ProjectionRecord, SceneBuffers,
-    SceneConstants, Shader,
+    CameraRecord, Gpu, Inputs, Links, MAX_BUFFERS, ProjectionRecord, SceneBuffers, SceneConstants,
+    Shader, groups, workgroup,
 };
 use crate::pass::Buffer;
-use crate::plan::{Domain, Elements, Filter, Grid, Kernel, Plan, Shot};
+use crate::plan::{Elements, Filter, Kernel, Plan, Shot};
 use crate::scene::CameraRays;
 use crate::techniques::Technique;
 use crate::twin::{Module, Twin};
@@ -118,21 +118,6 @@ pub(crate) fn twins(technique: &dyn Technique, plan: &Plan) -> Option<Vec<Twin>>
             Kernel::Technique(kernel) => technique.twin(kernel, plan),
         })
         .collect()
-}
-
-/// What a pass's lanes own.
-pub(crate) fn lanes(domain: Domain) -> Lanes {
-    match domain {
-        Domain::Pixels => Lanes::Pixels,
-        Domain::Tiles { width, height, grid } => {
-            let origin = match grid {
-                Grid::Fixed([x, y]) => Origin::Fixed([x % width, y % height]),
-                Grid::PerFrame(purpose) => Origin::PerFrame(purpose),
-            };
-            Lanes::Tiles { size: [width, height], origin }
-        }
-        Domain::Items(n) => Lanes::Items(n),
-    }
 }
 
 impl DeviceRunner {
@@ -542,8 +527,7 @@ fn compile(
     let passes = plan.passes.iter().zip(twins);
     passes
         .map(|(pass, twin)| {
-            let lanes = lanes(pass.domain);
-            let [width, height] = lanes.workgroup();
+            let [width, height] = workgroup(pass.domain);
             let invocations = gpu.device().limits().max_compute_invocations_per_workgroup;
             if width * height > invocations {
                 return Err(Error::gpu(format!(
@@ -552,8 +536,8 @@ fn compile(
                     gpu.info()
                 )));
             }
-            let kernel = Shader::new(twin, lanes, scene);
-            let groups = kernel.groups(shot.size);
+            let shader = Shader::new(twin, pass.domain, scene);
+            let groups = groups(pass.domain, shot.size);
             if groups[0].max(groups[1]) > most {
                 return Err(Error::gpu(format!(
                     "pass `{}` takes {} x {} workgroups, but {} runs at most {most} a dimension",
@@ -563,7 +547,7 @@ fn compile(
                     gpu.info()
                 )));
             }
-            Ok(Ready { pipeline: gpu.pipeline(&kernel)?, groups })
+            Ok(Ready { pipeline: gpu.pipeline(&shader)?, groups })
         })
         .collect()
 }

@@ -10,8 +10,9 @@ mod scene;
 use std::sync::{Arc, OnceLock};
 
 use super::compose::Composed;
-use super::{Gpu, Inputs, Lanes, SceneBuffers, Shader};
+use super::{Gpu, Inputs, SceneBuffers, Shader, groups};
 use crate::math::rng::{RandomSource, Stream};
+use crate::plan::Domain;
 use crate::resampling::RESAMPLING_WGSL;
 use crate::reuse::{CONTROL_WGSL, STORED_WGSL, WIS_WGSL};
 use crate::scene::Scene;
@@ -86,8 +87,8 @@ fn run_changed(
     let harness = Module { name: "the harness", text: Box::leak(harness.into_boxed_str()) };
     let modules = vec![RESAMPLING_WGSL, STORED_WGSL, WIS_WGSL, CONTROL_WGSL, harness];
     let twin = Twin { kernel: "test", modules, ..Twin::default() };
-    let lanes = Lanes::Items(count as u32);
-    let kernel = Shader::new(&twin, lanes, scene.constants());
+    let domain = Domain::Items(count as u32);
+    let kernel = Shader::new(&twin, domain, scene.constants());
     let composed = kernel.compose().unwrap();
     let composed = Composed { text: change(composed.text.clone()), ..composed };
     let pipeline = gpu.compile("test", &composed, &kernel.constants).unwrap();
@@ -109,7 +110,7 @@ fn run_changed(
         let mut pass = encoder.begin_compute_pass(&Default::default());
         pass.set_pipeline(&pipeline);
         pass.set_bind_group(0, &bindings, &[]);
-        pass.dispatch_workgroups(kernel.groups([64, 64])[0], 1, 1);
+        pass.dispatch_workgroups(groups(domain, [64, 64])[0], 1, 1);
     }
     let first = 4 * inputs.len() as u64;
     encoder.copy_buffer_to_buffer(&state, first, &staging, 0, Some(4 * (count * out) as u64));

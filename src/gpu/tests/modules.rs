@@ -7,9 +7,9 @@ use super::super::compose::Composed;
 use super::super::entry::ENTRY;
 use super::super::shader::{SceneConstants, wgsl};
 use super::super::upload::{CameraRecord, Inputs, ProjectionRecord, WorldRecord};
-use super::super::{Lanes, STORAGE_BUFFERS, Shader};
-use crate::frame::gpu::{lanes, twins};
-use crate::plan::{Filter, SceneFacts, Shot};
+use super::super::{STORAGE_BUFFERS, Shader};
+use crate::frame::gpu::twins;
+use crate::plan::{Domain, Filter, SceneFacts, Shot};
 use crate::scene::generate;
 use crate::techniques::{Entry, REGISTRY, parse};
 use crate::twin::Module;
@@ -154,7 +154,7 @@ fn kernels_are_valid_whatever_one_thing_a_scene_has_or_lacks() {
         let plan = technique.plan(facts, &shot);
         for (pass, twin) in plan.passes.iter().zip(twins(&*technique, &plan).unwrap()) {
             for scene in one_of_each() {
-                let kernel = Shader::new(&twin, lanes(pass.domain), &scene);
+                let kernel = Shader::new(&twin, pass.domain, &scene);
                 let composed = kernel.compose().unwrap();
                 valid(&composed, &kernel.constants)
                     .unwrap_or_else(|e| panic!("`{}`, {scene:?}: {e}", twin.kernel));
@@ -177,7 +177,7 @@ fn every_kernel_of_every_plan_is_valid() {
                 let twins = twins(&*technique, &plan).expect("every built-in technique has twins");
                 for (pass, twin) in plan.passes.iter().zip(twins) {
                     for scene in [EVERYTHING, LITTLE] {
-                        let kernel = Shader::new(&twin, lanes(pass.domain), &scene);
+                        let kernel = Shader::new(&twin, pass.domain, &scene);
                         let composed = kernel.compose().unwrap_or_else(|e| panic!("{spec}: {e}"));
                         let text = composed.text.clone();
                         kernels.entry(text).or_insert((kernel, spec.clone(), composed));
@@ -312,7 +312,7 @@ fn planted(mut change: impl FnMut(&str) -> Option<String>) -> crate::error::Resu
     if let Some(text) = change(twin.modules[0].text) {
         twin.modules[0].text = Box::leak(text.into_boxed_str());
     }
-    Shader::new(&twin, Lanes::Pixels, &EVERYTHING).compose()
+    Shader::new(&twin, Domain::Pixels, &EVERYTHING).compose()
 }
 
 /// The control: an error in a module's text is reported at the module's own line, by the test of
