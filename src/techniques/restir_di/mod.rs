@@ -119,7 +119,7 @@ pub(super) const RESTIR_DI: Entry = Entry {
 /// Whether light points are made ahead.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum LightTiles {
-    /// From 1,000 lights on.
+    /// From 1,000 lights on, with fewer than 8 estimates or chains a pixel.
     #[default]
     Auto,
     /// Always.
