@@ -13,7 +13,7 @@ use super::Claim;
     clippy::struct_excessive_bools,
     reason = "independent conditions, each with a sentence of its own"
 )]
-pub struct Conditions {
+pub struct Merges {
     /// Whether anything is reused at all. Without it every estimator is f V W of a fresh sample.
     pub reuse: bool,
     /// Whether merges of unequal domains use weights that sum to 1 over the inputs that reach a
@@ -43,18 +43,23 @@ pub struct Conditions {
 /// A pixel's final state to radiance.
 ///
 /// Laws:
-/// 1. Without reuse, every estimator is f(Y) V(Y) W.
+/// 1. With one sample of one technique, every estimator is f / p: what merges leave of it, f(Y) V(Y)
+///    W with W = 1/p, when nothing is reused.
 /// 2. `claim` depends on parameters and scene only, and says which condition fails.
-/// 3. Radiance is linear in W.
+/// 3. Radiance is linear in the samples' weights.
 pub trait Estimator {
     /// What it needs of a pixel.
     type State;
+
+    /// The facts that decide whether its mean is right: [`Merges`] for what shows the outcome of
+    /// merges. An estimator over other sets of samples brings facts of its own.
+    type Conditions;
 
     /// The pixel's radiance.
     fn radiance(state: &Self::State) -> Vec3;
 
     /// What the mean of that is.
-    fn claim(conditions: &Conditions) -> Claim;
+    fn claim(conditions: &Self::Conditions) -> Claim;
 }
 
 /// The selected sample: its unshadowed integrand, its visibility here, its weight.
@@ -68,7 +73,7 @@ pub struct SelectedState {
     pub weight: f32,
 }
 
-fn reasons(conditions: &Conditions) -> Vec<String> {
+fn reasons(conditions: &Merges) -> Vec<String> {
     let mut reasons = Vec::new();
     if conditions.reuse && !conditions.partition {
         reasons.push(
@@ -90,13 +95,14 @@ pub struct Selected;
 
 impl Estimator for Selected {
     type State = SelectedState;
+    type Conditions = Merges;
 
     #[inline]
     fn radiance(state: &SelectedState) -> Vec3 {
         state.integrand * (state.visibility * state.weight)
     }
 
-    fn claim(conditions: &Conditions) -> Claim {
+    fn claim(conditions: &Merges) -> Claim {
         let mut reasons = reasons(conditions);
         if conditions.reuse && !conditions.own_visibility {
             reasons.push("a visibility is reused where it was not found".into());
@@ -116,13 +122,14 @@ pub struct WeightedVisibility;
 
 impl Estimator for WeightedVisibility {
     type State = SelectedState;
+    type Conditions = Merges;
 
     #[inline]
     fn radiance(state: &SelectedState) -> Vec3 {
         Selected::radiance(state)
     }
 
-    fn claim(conditions: &Conditions) -> Claim {
+    fn claim(conditions: &Merges) -> Claim {
         let mut reasons = reasons(conditions);
         if conditions.reuse {
             if !conditions.still {
@@ -160,13 +167,14 @@ pub struct DecoupledState {
 
 impl Estimator for Decoupled {
     type State = DecoupledState;
+    type Conditions = Merges;
 
     #[inline]
     fn radiance(state: &DecoupledState) -> Vec3 {
         state.radiance
     }
 
-    fn claim(conditions: &Conditions) -> Claim {
+    fn claim(conditions: &Merges) -> Claim {
         match Selected::claim(conditions) {
             Claim::Unbiased if conditions.reuse && !conditions.streamed_partition => Claim::Biased(
                 "the inputs' own weights lose what one of them cannot reach: only the selected one's is right".into(),
@@ -186,13 +194,14 @@ pub struct ControlVariate;
 
 impl Estimator for ControlVariate {
     type State = DecoupledState;
+    type Conditions = Merges;
 
     #[inline]
     fn radiance(state: &DecoupledState) -> Vec3 {
         state.radiance + state.correction
     }
 
-    fn claim(conditions: &Conditions) -> Claim {
+    fn claim(conditions: &Merges) -> Claim {
         Decoupled::claim(conditions)
     }
 }

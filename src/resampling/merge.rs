@@ -274,8 +274,11 @@ where
                 } else if let Some(sample) = &sample
                     && confidence > 0.0
                 {
-                    let domain = others.domain(at);
-                    let from = target_from(map, sample, canonical.domain, domain.borrow());
+                    let from = if source == 0 {
+                        leaving(map, others, at, sample, canonical.domain)
+                    } else {
+                        target_from(map, sample, canonical.domain, others.domain(at).borrow())
+                    };
                     reach_of(confidence, from);
                 }
             }

@@ -82,7 +82,7 @@ pub const MERGE_WGSL: Module = crate::wgsl!("merge.wgsl");
 
 pub use claim::Claim;
 pub use estimate::{
-    Conditions, ControlVariate, Decoupled, DecoupledState, Estimator, Selected, SelectedState,
+    ControlVariate, Decoupled, DecoupledState, Estimator, Merges, Selected, SelectedState,
     WeightedVisibility,
 };
 pub use merge::{Input, Merged, OtherInputs, Term, merge, merge_history};

@@ -4,8 +4,8 @@ use super::{Finite, Sample, assert_close, is_close};
 use crate::math::rng::{RandomSource, Stream};
 use crate::resampling::mis::weights;
 use crate::resampling::{
-    ContributionWeight, Counting, Family, Finished, Input, Merged, Plain, Reservoir, Term,
-    WithVisibility, merge, merge_history,
+    ContributionWeight, Counting, Family, Finished, Input, Merged, OtherInputs, Plain, Reservoir,
+    ShiftMap, Shifted, Term, WithVisibility, merge, merge_history,
 };
 use crate::stats::{Enumerator, enumerate_f64, expectation};
 
@@ -74,6 +74,119 @@ fn merged(
     let (canonical, others) = inputs.split_first().unwrap();
     let out = merge(&mut map.clone(), family, canonical, others, &mut reservoir, random, see);
     (out, reservoir)
+}
+
+/// Inputs whose host made every shift to and from the canonical domain beforehand.
+struct Exchanged<'a> {
+    inputs: &'a [Input<'a, usize, usize, Counting>],
+    arriving: Vec<Option<Shifted<usize, f32>>>,
+    leaving: Vec<f32>,
+}
+
+impl<'a> Exchanged<'a> {
+    fn new(map: &Finite, all: &'a [Input<'a, usize, usize, Counting>]) -> Self {
+        let mut map = map.clone();
+        let (canonical, inputs) = all.split_first().unwrap();
+        let arriving = inputs
+            .iter()
+            .map(|input| map.shift(&input.finished.sample?, input.domain, canonical.domain))
+            .collect();
+        let mut leaves = |to: &usize| {
+            let shifted = map.shift(&canonical.finished.sample?, canonical.domain, to)?;
+            Some(shifted.integrand * shifted.jacobian)
+        };
+        let leaving = inputs.iter().map(|input| leaves(input.domain).unwrap_or(0.0)).collect();
+        Self { inputs, arriving, leaving }
+    }
+}
+
+impl OtherInputs<usize, usize, Counting, f32> for Exchanged<'_> {
+    type Domain<'s>
+        = &'s usize
+    where
+        Self: 's;
+
+    fn count(&self) -> usize {
+        self.inputs.len()
+    }
+
+    fn finished(&self, at: usize) -> Sample {
+        self.inputs[at].finished
+    }
+
+    fn target(&self, at: usize) -> f32 {
+        self.inputs[at].target
+    }
+
+    fn domain(&self, at: usize) -> &usize {
+        self.inputs[at].domain
+    }
+
+    fn arriving(&self, at: usize) -> Option<Option<Shifted<usize, f32>>> {
+        Some(self.arriving[at])
+    }
+
+    fn leaving(&self, at: usize) -> Option<f32> {
+        Some(self.leaving[at])
+    }
+}
+
+/// A map that counts how often it is asked.
+struct Asked(Finite, u32);
+
+impl ShiftMap for Asked {
+    type Sample = usize;
+    type Domain = usize;
+    type Integrand = f32;
+    type Stratum = ();
+
+    fn shift(&mut self, sample: &usize, from: &usize, to: &usize) -> Option<Shifted<usize, f32>> {
+        self.1 += 1;
+        self.0.shift(sample, from, to)
+    }
+
+    fn stratum(&self, _sample: &usize) {}
+}
+
+#[test]
+fn shifts_that_the_host_knows_are_taken_from_it_and_change_nothing() {
+    let mut random = Stream::from_key(31);
+    let mut saved = [0; 2];
+    for round in 0..3000 {
+        let map = Finite::random(&mut random);
+        let confidences = confidences(map.mass.len(), &mut random);
+        let domains: Vec<usize> = (0..map.mass.len()).collect();
+        let inputs: Vec<_> = domains
+            .iter()
+            .map(|d| map.input(map.initial(*d, (1, confidences[*d]), &mut random), d))
+            .collect();
+        let (canonical, others) = inputs.split_first().unwrap();
+        for family in Family::ALL {
+            let run = |known: bool| {
+                let mut map = Asked(map.clone(), 0);
+                let mut reservoir = Plain::default();
+                let mut random = Stream::from_key(round);
+                let out = if known {
+                    let others = Exchanged::new(&map.0, &inputs);
+                    merge(&mut map, family, canonical, &others, &mut reservoir, &mut random, |_| ())
+                } else {
+                    merge(&mut map, family, canonical, others, &mut reservoir, &mut random, |_| ())
+                };
+                (format!("{out:?} {reservoir:?}"), map.1)
+            };
+            let ((plain, asked), (known, still_asked)) = (run(false), run(true));
+            assert_eq!(plain, known, "{family:?}");
+            // Between two others nobody knows the shifts of a third one.
+            let of_a_third =
+                matches!(family, Family::Balance | Family::InverseCount | Family::Contribution);
+            if !of_a_third || others.len() < 2 {
+                assert_eq!(still_asked, 0, "{family:?} with {} others", others.len());
+            }
+            saved[usize::from(of_a_third)] += asked - still_asked;
+        }
+    }
+    // Control: without them the map is asked, in families of both kinds.
+    assert!(saved.iter().all(|&calls| calls > 1000), "{saved:?}");
 }
 
 /// E[1{Y = y} W] of every canonical state y: equal to its mass, it gives all integrals.

@@ -7,8 +7,8 @@ use super::laws::{Ring, metropolis_rule};
 use super::{assert_close, is_close};
 use crate::math::rng::RandomSource;
 use crate::resampling::{
-    Claim, Conditions, ContributionWeight, ControlVariate, Counting, Decoupled, DecoupledState,
-    Estimator, Family, Finished, Identity, Input, Plain, Reservoir, Selected, SelectedState,
+    Claim, ContributionWeight, ControlVariate, Counting, Decoupled, DecoupledState, Estimator,
+    Family, Finished, Identity, Input, Merges, Plain, Reservoir, Selected, SelectedState,
     WeightedVisibility, WithRadiance, WithVisibility, merge, metropolis, mutated_weight,
 };
 use crate::stats::{Enumerator, enumerate_f64, expectation};
@@ -198,7 +198,7 @@ fn grey_means(run: impl FnMut(&mut Enumerator<f64>) -> Pixel) -> [f64; 4] {
 }
 
 /// The claims in the order of [`Pixel::shown`].
-fn claims(conditions: &Conditions) -> [Claim; 4] {
+fn claims(conditions: &Merges) -> [Claim; 4] {
     [
         WeightedVisibility::claim(conditions),
         Selected::claim(conditions),
@@ -208,7 +208,7 @@ fn claims(conditions: &Conditions) -> [Claim; 4] {
 }
 
 /// Reuse with nothing that could go wrong.
-const SOUND: Conditions = Conditions {
+const SOUND: Merges = Merges {
     reuse: true,
     partition: true,
     streamed_partition: true,
@@ -223,13 +223,13 @@ const SOUND: Conditions = Conditions {
 /// That the ratio form has mean `ratio`, the others `others`, and that each claims to be right
 /// exactly if it is.
 #[track_caller]
-fn check(conditions: Conditions, found: [f64; 4], truth: f64, ratio: f64, others: f64) {
+fn check(conditions: Merges, found: [f64; 4], truth: f64, ratio: f64, others: f64) {
     check_each(conditions, found, truth, [ratio, others, others, others]);
 }
 
 /// The same with a mean for each.
 #[track_caller]
-fn check_each(conditions: Conditions, found: [f64; 4], truth: f64, expected: [f64; 4]) {
+fn check_each(conditions: Merges, found: [f64; 4], truth: f64, expected: [f64; 4]) {
     for ((claim, found), expected) in claims(&conditions).into_iter().zip(found).zip(expected) {
         assert!(is_close(found, expected), "{found:?} instead of {expected}: {claim}");
         assert_eq!(claim == Claim::Unbiased, is_close(expected, truth), "{found}: {claim}");
@@ -258,7 +258,7 @@ fn after(own: (Receiver, u32), others: &[Receiver], family: Family) -> [f64; 4] 
 #[test]
 fn without_reuse_all_estimators_agree_and_are_exact() {
     let fresh = grey_means(|random| Pixel::initial(pixel_b(), 1.0, random));
-    let nothing = Conditions {
+    let nothing = Merges {
         reuse: false,
         partition: false,
         streamed_partition: false,
@@ -274,7 +274,7 @@ fn without_reuse_all_estimators_agree_and_are_exact() {
 
 #[test]
 fn weights_that_know_the_sample_bias_an_averaged_visibility() {
-    let varying = Conditions { chained_weight_constant: false, ..SOUND };
+    let varying = Merges { chained_weight_constant: false, ..SOUND };
     for (family, conditions, ratio) in [
         (Family::Constant, SOUND, 1.0),
         (Family::InverseCount, SOUND, 1.0),
@@ -289,7 +289,7 @@ fn weights_that_know_the_sample_bias_an_averaged_visibility() {
 
 #[test]
 fn that_bias_grows_with_the_age_of_the_average() {
-    let varying = Conditions { chained_weight_constant: false, ..SOUND };
+    let varying = Merges { chained_weight_constant: false, ..SOUND };
     for (frames, bias) in [(3, -1.0 / 12.0), (5, -0.1), (8, -7.0 / 64.0)] {
         let found = after((pixel_a(), frames), &[pixel_b()], Family::Balance);
         check(varying, found, 1.0, 1.0 + bias, 1.0);
@@ -316,7 +316,7 @@ fn looped(frames: u32, cap: f32, family: Family, random: &mut impl RandomSource)
 
 #[test]
 fn a_loop_of_two_pixels_has_the_bias_of_its_weights_from_the_second_frame() {
-    let varying = Conditions { chained_weight_constant: false, ..SOUND };
+    let varying = Merges { chained_weight_constant: false, ..SOUND };
     for (cap, family, conditions, ratio) in [
         (20.0, Family::Constant, SOUND, [1.0, 3.0]),
         (20.0, Family::Balance, varying, [463.0 / 504.0, 1_956_963.0 / 680_680.0]),
@@ -346,13 +346,13 @@ fn moved(from: (Receiver, u32), to: Receiver, subtract: Subtract) -> [f64; 4] {
 #[test]
 fn a_chain_may_change_receivers_if_what_it_saw_and_its_weight_stay() {
     let now = pixel_a();
-    let lags = Conditions { still: false, ..SOUND };
+    let lags = Merges { still: false, ..SOUND };
     let everything = Receiver::grey([1.0, 1.0], [1.0, 1.0]);
     check(lags, moved((everything, 2), now, HERE), 1.0, 1.5, 1.0);
     let brighter = Receiver::grey([3.0, 3.0], [1.0, 0.0]);
     check(SOUND, moved((brighter, 2), now, HERE), 1.0, 1.0, 1.0);
     let steeper = Receiver::grey([1.0, 3.0], [1.0, 0.0]);
-    let varying = Conditions { chained_weight_constant: false, ..SOUND };
+    let varying = Merges { chained_weight_constant: false, ..SOUND };
     check(varying, moved((steeper, 2), now, HERE), 1.0, 7.0 / 8.0, 1.0);
 }
 
@@ -405,7 +405,7 @@ fn neighbours_with_fresh_rays_may_share_what_the_chain_leaves_if_they_cover_it()
     // Where all miss a light, constant weights lose it with any estimator, and others make the
     // chain's weight vary.
     let blind = Receiver::grey([0.0, 1.0], [1.0, 1.0]);
-    let loses = Conditions { partition: false, streamed_partition: false, ..SOUND };
+    let loses = Merges { partition: false, streamed_partition: false, ..SOUND };
     check(loses, after((pixel_a(), 2), &[blind], Family::Constant), 1.0, 0.5, 0.5);
     check(
         loses,
@@ -416,8 +416,7 @@ fn neighbours_with_fresh_rays_may_share_what_the_chain_leaves_if_they_cover_it()
     );
     // 1/Z is known after the selection only: what all inputs show together is still 1/M.
     let found = after((pixel_a(), 2), &[blind], Family::InverseCount);
-    let conditions =
-        Conditions { chained_weight_constant: false, streamed_partition: false, ..SOUND };
+    let conditions = Merges { chained_weight_constant: false, streamed_partition: false, ..SOUND };
     check_each(conditions, found, 1.0, [25.0 / 32.0, 1.0, 0.5, 0.5]);
     for family in Family::ALL.into_iter().filter(|f| f.terms_partition_unity()) {
         let found = after((pixel_a(), 2), &[blind], family);
@@ -429,7 +428,7 @@ fn neighbours_with_fresh_rays_may_share_what_the_chain_leaves_if_they_cover_it()
 fn an_average_needs_a_target_proportional_to_the_integrand() {
     let receiver = Receiver { target: [1.0, 1.0], ..Receiver::grey([1.0, 3.0], [1.0, 0.0]) };
     let other = Receiver { target: [1.0, 3.0], ..receiver };
-    let conditions = Conditions { target_proportional: false, ..SOUND };
+    let conditions = Merges { target_proportional: false, ..SOUND };
     // Even where nothing is chained.
     check(conditions, after((receiver, 1), &[other], Family::Constant), 1.0, 1.5, 1.0);
     check(conditions, after((receiver, 1), &[other], Family::Balance), 1.0, 22.0 / 15.0, 1.0);
@@ -451,8 +450,8 @@ fn colour_leaks_from_an_average_and_from_nothing_else() {
             pixel
         })
     };
-    let constant = Conditions { target_proportional: false, ..SOUND };
-    let balance = Conditions { chained_weight_constant: false, ..constant };
+    let constant = Merges { target_proportional: false, ..SOUND };
+    let balance = Merges { chained_weight_constant: false, ..constant };
     for (family, conditions, leaked) in [
         (Family::Constant, constant, Some([9.0 / 5.0, 6.0 / 5.0])),
         (Family::Balance, balance, None),
@@ -490,7 +489,7 @@ fn a_control_variate_is_exact_under_motion_if_it_subtracts_where_the_chain_was()
             pixel
         })
     };
-    let moving = Conditions { still: false, ..SOUND };
+    let moving = Merges { still: false, ..SOUND };
     check(moving, run(HERE, 1), 3.0, 23.0 / 12.0, 3.0);
     assert_close(run(HERE, 2)[3], 3.0);
     // Control: the same samples at the new receiver.
@@ -549,7 +548,7 @@ fn a_coefficient_or_confidence_that_knows_the_sample_is_biased() {
     assert_close(coefficient([0.5, 0.5]), 1.0);
     assert_close(coefficient([0.5, 0.125]), 29.0 / 32.0);
 
-    let knows = Conditions { sample_blind: false, ..SOUND };
+    let knows = Merges { sample_blind: false, ..SOUND };
     let found = grey_means(|random| {
         let mut before = Pixel::history(pixel_a(), 2, 1.0, random);
         if before.finished.sample == Some(0) {
@@ -588,7 +587,7 @@ fn a_dropped_sample_keeps_its_confidence() {
         })
     };
     check(SOUND, run(1.0), 1.0, 1.0, 1.0);
-    let knows = Conditions { sample_blind: false, ..SOUND };
+    let knows = Merges { sample_blind: false, ..SOUND };
     check(knows, run(0.0), 1.0, 1.5, 1.5);
 }
 
@@ -601,7 +600,7 @@ fn what_one_receiver_does_not_see_is_lost_to_one_that_does() {
             let other = dropping(pixel_a(), 1.0, random);
             own.merge(&[other], 0, family, HERE, random)
         });
-        let drops = Conditions { drops_occluded: true, ..SOUND };
+        let drops = Merges { drops_occluded: true, ..SOUND };
         // A contribution or balance weight that knows no visibility is 1/2; pairs leave the
         // canonical 3/4 of two.
         let kept = if family == Family::DefensivePairwise { 1.75 } else { 1.5 };
@@ -625,7 +624,7 @@ fn a_visibility_is_not_for_another_receiver() {
         Selected::radiance(&SelectedState { integrand, visibility: stored.average, weight }).x
     });
     assert_close(expectation(&outcomes, |&shown| shown.into()), 1.5);
-    let conditions = Conditions { own_visibility: false, ..SOUND };
+    let conditions = Merges { own_visibility: false, ..SOUND };
     assert!(matches!(Selected::claim(&conditions), Claim::Biased(_)));
 }
 

@@ -29,7 +29,7 @@ use crate::error::{Error, Result};
 use crate::pass::{Band, FrameInputs};
 use crate::plan::{BufferPlan, Claim, Plan, SceneFacts, Shot};
 use crate::resampling::{
-    Conditions, ControlVariate, Decoupled, Estimator, Family, Selected, WeightedVisibility,
+    ControlVariate, Decoupled, Estimator, Family, Merges, Selected, WeightedVisibility,
 };
 use crate::reuse::light_points::Record;
 use crate::reuse::parameters::reuse_rows;
@@ -322,7 +322,7 @@ impl RestirDi {
     }
 
     /// What a chain of merges promises on a scene.
-    fn conditions(&self, facts: &SceneFacts, shot: &Shot) -> Conditions {
+    fn conditions(&self, facts: &SceneFacts, shot: &Shot) -> Merges {
         let still = facts.is_still(shot);
         let reuse = self.cap > 0 || self.neighbours > 0;
         let (temporal, spatial) = (self.cap > 0, self.neighbours > 0);
@@ -333,7 +333,7 @@ impl RestirDi {
             }
             _ => true,
         };
-        Conditions {
+        Merges {
             reuse,
             partition: (!spatial || self.mis.partitions_unity())
                 && (!temporal || still || self.temporal_mis.partitions_unity()),
