@@ -144,6 +144,8 @@ pub struct BuildReport {
     pub bytes: usize,
     /// Whether there is a tree over instances.
     pub two_level: bool,
+    /// Trees of primitives that were built now, those that [`Accel::rebuild`] shares left out.
+    pub built: usize,
 }
 
 /// What [`Accel::point`] needs beside the slot, in the tree's space: one place in memory a hit,
@@ -291,6 +293,7 @@ impl Accel {
             scene.instances.iter().any(|i| std::mem::replace(&mut placed[i.object.index()], true))
         };
         let two_level = options.two_level.unwrap_or_else(shared);
+        let mut built = 0;
         let (bottoms, top) = if two_level {
             let mut numbers = vec![None; scene.objects.len()];
             let mut bottoms: Vec<Arc<Bottom>> = Vec::new();
@@ -305,7 +308,10 @@ impl Accel {
                         };
                         let bottom = match old.iter().find(same) {
                             Some(bottom) => bottom.clone(),
-                            None => Arc::new(bottom_of_object(object, options)?),
+                            None => {
+                                built += 1;
+                                Arc::new(bottom_of_object(object, options)?)
+                            }
                         };
                         bottoms.push(bottom);
                         *known.insert(bottoms.len() as u32 - 1)
@@ -316,6 +322,7 @@ impl Accel {
             let top = top(&bottoms, &placements, options);
             (bottoms, Some(top))
         } else {
+            built += 1;
             (vec![Arc::new(bottom_of_scene(scene, &placements, options)?)], None)
         };
         let trees = || bottoms.iter().map(|b| &b.tree).chain(top.iter().map(|t| &t.tree));
@@ -333,6 +340,7 @@ impl Accel {
                     .map(|b| b.slots.len() * (size_of::<Slot>() + size_of::<Cold>()))
                     .sum::<usize>(),
             two_level,
+            built,
         };
         Ok(Self {
             bottoms,

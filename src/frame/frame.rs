@@ -1,5 +1,7 @@
 //! A rendered frame.
 
+use std::sync::Arc;
+
 use glam::Vec3;
 
 use super::runner::Runner;
@@ -7,6 +9,7 @@ use super::{FrameLoop, Guides};
 use crate::counters::Counters;
 use crate::picture::Picture;
 use crate::plan::{BufferId, Plan};
+use crate::world::Built;
 
 /// One rendered frame, borrowed from the loop.
 #[derive(Debug)]
@@ -61,6 +64,16 @@ impl Frame<'_> {
     pub fn guides(&self) -> Guides {
         let FrameLoop { shown: (world, previous), shot, .. } = self.frame_loop;
         Guides::new(world, previous.as_deref(), shot.size)
+    }
+
+    /// What had to be made of the scene for this frame: nothing in a first frame, whose world
+    /// belongs to loading, nor where nothing moves.
+    #[must_use]
+    pub fn built(&self) -> Built {
+        match &self.frame_loop.shown {
+            (now, Some(before)) if !Arc::ptr_eq(now, before) => now.built(),
+            _ => Built::default(),
+        }
     }
 
     /// Milliseconds of all passes.

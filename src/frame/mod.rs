@@ -170,6 +170,17 @@ impl FrameLoop {
         }
     }
 
+    /// Bytes of the scene that were sent to the graphics processor for the frame that was begun
+    /// last: 0 in a first frame, whose scene belongs to loading, where nothing but the camera
+    /// moved, and on the CPU.
+    #[must_use]
+    pub fn sent_bytes(&self) -> u64 {
+        match &self.runner {
+            Runner::Cpu => 0,
+            Runner::Gpu(device) => device.sent_bytes(),
+        }
+    }
+
     /// Lets the CPU run the first `passes` passes of every frame, from the same bytes: how the pass
     /// that two backends disagree in is found. Without a graphics processor all run there anyway.
     pub fn run_on_cpu(&mut self, passes: usize) {

@@ -551,6 +551,10 @@ pub(crate) struct SceneBuffers {
     instances: [u32; 4],
     /// Whose turn it is.
     turn: usize,
+    /// Whether the previous frame's world is this frame's.
+    stayed: bool,
+    /// Bytes that were sent to the device for the world of now.
+    sent: u64,
     constants: SceneConstants,
     emitters: bool,
 }
@@ -634,12 +638,14 @@ impl SceneBuffers {
             remap: now.remap,
             instances: now.instances,
             turn: 0,
+            stayed: false,
+            sent: 0,
             constants,
             emitters: world.emitters().is_some(),
         };
-        scene.write(gpu, 0, &now);
+        scene.sent = scene.write(gpu, 0, &now);
         if let Some(before) = before {
-            scene.write(gpu, 1, &before);
+            scene.sent += scene.write(gpu, 1, &before);
             scene.records[1] = before.record;
         }
         gpu.check()?;
@@ -650,12 +656,15 @@ impl SceneBuffers {
         Ok(scene)
     }
 
-    fn write(&self, gpu: &Gpu, turn: usize, part: &Dynamic) {
+    /// Sends one turn's part; how many bytes that are.
+    fn write(&self, gpu: &Gpu, turn: usize, part: &Dynamic) -> u64 {
         let [nodes, geometry, words] = self.base[turn].map(u64::from);
         let queue = gpu.queue();
         queue.write_buffer(&self.buffers[0], 16 * nodes, bytemuck::cast_slice(&part.nodes));
         queue.write_buffer(&self.buffers[1], 16 * geometry, bytemuck::cast_slice(&part.geometry));
         queue.write_buffer(&self.buffers[2], 4 * words, bytemuck::cast_slice(&part.words));
+        let [nodes, geometry, words] = part.lengths().map(u64::from);
+        16 * (nodes + geometry) + 4 * words
     }
 
     /// What changes, of a world that fits what is there; `None` where it does not.
@@ -671,10 +680,16 @@ impl SceneBuffers {
     /// nothing changed: there is no room, or things changed that are written once; then all must be
     /// made anew.
     pub(crate) fn advance(&mut self, gpu: &Gpu, world: &World, links: &Links<'_>) -> Result<bool> {
+        if world.only_camera {
+            (self.remap, self.instances) = ([NONE, 0, NONE, 0], [NONE, 0, 0, 0]);
+            (self.stayed, self.sent) = (true, 0);
+            return Ok(true);
+        }
         let next = 1 - self.turn;
         let part = self.fitting(world, next, links)?;
         let Some(part) = part.filter(|_| self.base[0] != self.base[1]) else { return Ok(false) };
-        self.write(gpu, next, &part);
+        self.sent = self.write(gpu, next, &part);
+        self.stayed = false;
         self.records[next] = part.record;
         (self.remap, self.instances) = (part.remap, part.instances);
         self.turn = next;
@@ -687,8 +702,8 @@ impl SceneBuffers {
         let links = Links::default();
         let parts = [self.fitting(world, 0, &links)?, self.fitting(world, 1, &links)?];
         let [Some(first), Some(second)] = parts else { return Ok(false) };
-        self.write(gpu, 0, &first);
-        self.write(gpu, 1, &second);
+        self.sent = self.write(gpu, 0, &first) + self.write(gpu, 1, &second);
+        self.stayed = false;
         self.records = [first.record, second.record];
         (self.remap, self.instances) = (first.remap, first.instances);
         self.turn = 0;
@@ -710,6 +725,11 @@ impl SceneBuffers {
         &self.buffers
     }
 
+    /// Bytes that were sent to the device for the world of now.
+    pub(crate) fn sent(&self) -> u64 {
+        self.sent
+    }
+
     /// Bytes on the device.
     pub(crate) fn bytes(&self) -> u64 {
         self.buffers.iter().map(wgpu::Buffer::size).sum()
@@ -717,7 +737,8 @@ impl SceneBuffers {
 
     /// Fills in where things are.
     pub(crate) fn describe(&self, inputs: &mut Inputs) {
-        inputs.worlds = [self.records[self.turn], self.records[1 - self.turn]];
+        let before = if self.stayed { self.turn } else { 1 - self.turn };
+        inputs.worlds = [self.records[self.turn], self.records[before]];
         inputs.remap = self.remap;
         inputs.instances = self.instances;
         inputs.srgb = self.statics.srgb;

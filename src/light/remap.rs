@@ -15,8 +15,10 @@ impl LightRemap {
     /// The map between two tables; `None` if every light has the same place in both.
     #[must_use]
     pub fn new(previous: &Lights, current: &Lights) -> Option<Self> {
-        let same = previous.len() == current.len()
-            && (0..current.len() as u32).all(|light| previous.key(light) == current.key(light));
+        let same = std::ptr::eq(previous, current)
+            || (previous.len() == current.len()
+                && (0..current.len() as u32)
+                    .all(|light| previous.key(light) == current.key(light)));
         if same {
             return None;
         }

@@ -64,7 +64,10 @@ pub fn unit_float(word: u32) -> f32 {
 #[inline]
 #[must_use]
 pub fn draw4(seed: u64, vertex: u32, block: u32) -> [u32; 4] {
-    pcg4d([seed as u32, (seed >> 32) as u32, vertex, block])
+    let counters = [seed as u32, (seed >> 32) as u32, vertex, block];
+    #[cfg(test)]
+    recording::draw(counters);
+    pcg4d(counters)
 }
 
 /// What a [`Stream`] is drawn for; each purpose has numbers of its own.
@@ -166,7 +169,10 @@ impl Stream {
     #[inline]
     #[must_use]
     pub fn new(run: u64, cell: u32, frame: u32, purpose: Purpose, round: u32) -> Self {
-        Self::from_key(stream_key(run, cell, frame, purpose, round))
+        let key = stream_key(run, cell, frame, purpose, round);
+        #[cfg(test)]
+        recording::stream(key, purpose, round);
+        Self::from_key(key)
     }
 
     /// The stream of a 64-bit key.
@@ -182,7 +188,10 @@ impl Stream {
         if self.left == 0 {
             // The block index 0xA5 keeps streams and path draws apart even where a key equals a
             // seed.
-            self.words = pcg4d([self.key as u32, (self.key >> 32) as u32, self.counter, 0xA5]);
+            let counters = [self.key as u32, (self.key >> 32) as u32, self.counter, 0xA5];
+            #[cfg(test)]
+            recording::draw(counters);
+            self.words = pcg4d(counters);
             self.counter = self.counter.wrapping_add(1);
             self.left = 4;
         }
@@ -228,6 +237,61 @@ impl rand_core::TryRng for Stream {
             chunk.copy_from_slice(&word[..chunk.len()]);
         }
         Ok(())
+    }
+}
+
+/// What a thread draws, for tests that no number is drawn twice.
+#[cfg(test)]
+pub(crate) mod recording {
+    use std::cell::RefCell;
+    use std::collections::HashSet;
+
+    use super::Purpose;
+
+    /// Counters of all draws, in order, and the keys of streams that many pixels share or ask for
+    /// again by design.
+    #[derive(Debug, Default)]
+    pub(crate) struct Draws {
+        pub(crate) draws: Vec<[u32; 4]>,
+        shared: HashSet<u64>,
+    }
+
+    thread_local! {
+        static DRAWS: RefCell<Option<Draws>> = const { RefCell::new(None) };
+    }
+
+    /// What `work` draws on this thread, without shared streams.
+    pub(crate) fn of(work: impl FnOnce()) -> Vec<[u32; 4]> {
+        DRAWS.set(Some(Draws::default()));
+        work();
+        let Draws { draws, shared } = DRAWS.take().unwrap_or_default();
+        let key = |draw: &[u32; 4]| u64::from(draw[0]) | u64::from(draw[1]) << 32;
+        draws.into_iter().filter(|draw| !shared.contains(&key(draw))).collect()
+    }
+
+    pub(super) fn draw(counters: [u32; 4]) {
+        DRAWS.with_borrow_mut(|recorded| {
+            if let Some(recorded) = recorded {
+                recorded.draws.push(counters);
+            }
+        });
+    }
+
+    pub(super) fn stream(key: u64, purpose: Purpose, round: u32) {
+        // A pixel's position is asked for by whoever needs it; the others are one for many pixels:
+        // the exchange of a frame, the lattice's shift, a block's tile of light points.
+        let shared = match purpose {
+            Purpose::Jitter | Purpose::Taps | Purpose::Effort => true,
+            Purpose::LightTile => round == 0,
+            _ => false,
+        };
+        if shared {
+            DRAWS.with_borrow_mut(|recorded| {
+                if let Some(recorded) = recorded {
+                    recorded.shared.insert(key);
+                }
+            });
+        }
     }
 }
 

@@ -16,7 +16,7 @@ pub struct Light {
 }
 
 /// The kinds of [`Light`].
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum LightKind {
     /// At the origin of light space.
     Point {

@@ -3,7 +3,7 @@
 use super::{Color, MaterialId, Scalar};
 
 /// A surface's scattering, before textures are looked up.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Material {
     /// Lambert reflection on the side the light comes from, on both sides of the surface.
     Diffuse {
@@ -80,7 +80,7 @@ pub enum Material {
 }
 
 /// The Fresnel colour of a conductor.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ConductorColor {
     /// Complex index of refraction η + i k, per channel.
     Complex {
@@ -94,7 +94,7 @@ pub enum ConductorColor {
 }
 
 /// Roughness of a microfacet surface along both tangents.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Roughness {
     /// Along u; 0 is a perfect mirror.
     pub u: Scalar,

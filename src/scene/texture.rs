@@ -5,7 +5,7 @@ use glam::{Affine2, Vec2, Vec3, Vec4, Vec4Swizzles};
 use super::{ImageId, Scene, TextureId};
 
 /// A colour of a material or an emitter.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Color {
     /// The same everywhere.
     Constant(Vec3),
@@ -14,7 +14,7 @@ pub enum Color {
 }
 
 /// A number of a material.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Scalar {
     /// The same everywhere.
     Constant(f32),
@@ -38,7 +38,7 @@ pub enum Channel {
 }
 
 /// A texture with the map from surface coordinates to its own.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Texture {
     /// What it shows.
     pub kind: TextureKind,
@@ -47,7 +47,7 @@ pub struct Texture {
 }
 
 /// The kinds of [`Texture`].
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TextureKind {
     /// The same everywhere.
     Constant(Vec4),

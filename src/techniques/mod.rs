@@ -134,7 +134,13 @@ pub fn find<'e, 's>(entries: &'e [Entry], spec: &'s str) -> Result<(&'e Entry, &
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
+    use crate::frame::{FrameLoop, Stage};
+    use crate::math::rng::recording;
+    use crate::plan::Filter;
+    use crate::scene::generate;
 
     #[test]
     fn every_entry_parses_and_its_spec_is_stable() {
@@ -151,6 +157,45 @@ mod tests {
             }
         }
         assert_eq!(parse("nee:roulette=3").unwrap().spec(), "nee:roulette=3");
+    }
+
+    /// No two draws of a technique's frames have the same counters: no two passes share a purpose
+    /// and round, no two candidates a seed, no two frames a number. The control is a run that is
+    /// recorded twice.
+    #[test]
+    fn no_number_is_drawn_twice() {
+        let mut scene = generate("many-lights:40").unwrap();
+        scene.camera.fov = 0.9;
+        let stage = Stage::moving(scene.clone()).unwrap();
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+        let twice = |draws: &[[u32; 4]]| {
+            let mut seen = std::collections::HashMap::new();
+            draws.iter().find_map(|draw| {
+                let count: &mut u32 = seen.entry(*draw).or_default();
+                *count += 1;
+                (*count > 1).then_some(*draw)
+            })
+        };
+        let specs: Vec<String> = REGISTRY.iter().flat_map(Entry::specs).collect();
+        let more = ["nee:lights=all", "restir-di:tiles=on,rounds=3,mutations=2,taps=random"];
+        for spec in specs.iter().map(String::as_str).chain(more) {
+            for filter in [Filter::Point, Filter::Box] {
+                let shot = Shot { size: [24, 18], depth: 3, filter, run: 5, effort: 2.0, fps: 30 };
+                let mut frames =
+                    FrameLoop::new(Arc::from(parse(spec).unwrap()), &stage, shot).unwrap();
+                let draws = pool.install(|| {
+                    recording::of(|| {
+                        for _ in 0..3 {
+                            frames.render_scene(scene.clone()).unwrap();
+                        }
+                    })
+                });
+                assert!(draws.len() > 1000, "{spec}: only {} draws", draws.len());
+                assert_eq!(twice(&draws), None, "{spec}, {filter:?}");
+                let again: Vec<_> = draws.iter().chain(&draws[7..8]).copied().collect();
+                assert!(twice(&again).is_some(), "the control must fail");
+            }
+        }
     }
 
     #[test]

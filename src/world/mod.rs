@@ -10,10 +10,23 @@ use glam::{Vec3, Vec3A};
 use crate::accel::{Accel, AcceptAll, BuildOptions, Hit, HitFilter, HitPoint, MAX_COORDINATE, Ray};
 use crate::error::Result;
 use crate::light::{LightPoint, Lights};
-use crate::scene::{Geometry, Object, ObjectId, Scene};
+use crate::scene::{Geometry, LightKind, Object, ObjectId, Scene};
 use crate::surface::{AlphaMask, ShapeInfo, SurfacePoint, placed_shapes};
 
 pub use motion::{InstanceRemap, Motion};
+
+/// What had to be made for a world, beyond what it shares with the one before it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Built {
+    /// Trees over the primitives of an object, or of a whole scene without moving parts.
+    pub trees: u32,
+    /// Trees over instances.
+    pub instance_trees: u32,
+    /// Trees over the surfaces that emit.
+    pub emitter_trees: u32,
+    /// Tables of lights.
+    pub light_tables: u32,
+}
 
 /// Everything that a path needs to know of the scene in one frame.
 #[derive(Clone, Debug)]
@@ -23,12 +36,15 @@ pub struct World {
     /// Geometry.
     pub accel: Accel,
     /// Emitters.
-    pub lights: Lights,
+    pub lights: Arc<Lights>,
     /// By running number.
     pub shapes: Vec<ShapeInfo>,
     /// Whether any shape lets rays through by its coverage.
     pub has_alpha: bool,
-    emitters: OnceLock<Arc<Emitters>>,
+    /// Whether the camera alone may have changed since the world that this one was made from.
+    pub(crate) only_camera: bool,
+    emitters: OnceLock<(Arc<Emitters>, bool)>,
+    built: Built,
 }
 
 /// The surfaces that emit, without all others: what a ray would meet if nothing stood in between.
@@ -97,28 +113,67 @@ impl World {
     pub fn new(scene: Scene, options: &BuildOptions) -> Result<Self> {
         scene.validate()?;
         let accel = Accel::build(&scene, options)?;
-        Ok(Self::with_accel(scene, accel))
+        let lights = Arc::new(Lights::build(&scene, bounds(&scene)));
+        Ok(Self::with(scene, accel, lights))
     }
 
-    /// The world of the next frame: bottom levels of geometry are shared with this one.
+    /// The world of the next frame. What has not changed is shared with this one: trees of objects,
+    /// the tree over instances, the emitters' tree, the table of lights.
     ///
     /// # Errors
     /// As [`World::new`].
     pub fn next(&self, scene: Scene) -> Result<Self> {
-        if same_geometry(&self.scene, &scene) {
-            let next = Self::with_accel(scene, self.accel.clone());
-            return Ok(Self { emitters: self.emitters.clone(), ..next });
+        let objects = same_objects(&self.scene, &scene);
+        let places = objects && same_places(&self.scene, &scene, |_| true);
+        let emitting = objects && same_places(&self.scene, &scene, emits);
+        let lights =
+            emitting && same_lights(&self.scene, &scene) && (places || !lit_from_afar(&scene));
+        let only_camera = places && lights && self.scene.materials == scene.materials;
+        let accel = if places { self.accel.clone() } else { self.accel.rebuild(&scene)? };
+        let lights = if lights {
+            self.lights.clone()
+        } else {
+            Arc::new(Lights::build(&scene, bounds(&scene)))
+        };
+        let emitters = OnceLock::new();
+        if let Some((shared, _)) = self.emitters.get().filter(|_| emitting) {
+            let _ = emitters.set((shared.clone(), false));
         }
-        let accel = self.accel.rebuild(&scene)?;
-        Ok(Self::with_accel(scene, accel))
+        let built = Built {
+            trees: if places { 0 } else { accel.report().built as u32 },
+            instance_trees: u32::from(!places && accel.report().two_level),
+            emitter_trees: 0,
+            light_tables: u32::from(!Arc::ptr_eq(&lights, &self.lights)),
+        };
+        Ok(Self { only_camera, emitters, built, ..Self::with(scene, accel, lights) })
     }
 
-    fn with_accel(scene: Scene, accel: Accel) -> Self {
+    fn with(scene: Scene, accel: Accel, lights: Arc<Lights>) -> Self {
         let shapes = placed_shapes(&scene);
-        let lights = Lights::build(&scene, bounds(&scene));
         let has_alpha = shapes.iter().any(|shape| shape.alpha.is_some());
-        let emitters = OnceLock::new();
-        Self { scene: Arc::new(scene), accel, lights, shapes, has_alpha, emitters }
+        let built = Built {
+            trees: accel.report().built as u32,
+            instance_trees: u32::from(accel.report().two_level),
+            emitter_trees: 0,
+            light_tables: 1,
+        };
+        Self {
+            scene: Arc::new(scene),
+            accel,
+            lights,
+            shapes,
+            has_alpha,
+            only_camera: false,
+            emitters: OnceLock::new(),
+            built,
+        }
+    }
+
+    /// What had to be made for it.
+    #[must_use]
+    pub fn built(&self) -> Built {
+        let emitter_trees = u32::from(self.emitters.get().is_some_and(|(_, built)| *built));
+        Built { emitter_trees, ..self.built }
     }
 
     /// Builds what [`World::emitters`] gives; once a world, so that no pass waits for it.
@@ -128,7 +183,7 @@ impl World {
     pub fn prepare_emitters(&self) -> Result<()> {
         if self.emitters.get().is_none() {
             let emitters = Emitters::new(&self.scene, &self.lights)?;
-            let _ = self.emitters.set(Arc::new(emitters));
+            let _ = self.emitters.set((Arc::new(emitters), true));
         }
         Ok(())
     }
@@ -137,7 +192,7 @@ impl World {
     #[inline]
     #[must_use]
     pub fn emitters(&self) -> Option<&Emitters> {
-        self.emitters.get().map(|emitters| &**emitters)
+        self.emitters.get().map(|(emitters, _)| &**emitters)
     }
 
     /// The filter of scenes with coverage.
@@ -184,15 +239,43 @@ impl World {
     }
 }
 
-/// Whether two scenes with fixed transforms have the same objects in the same places.
-fn same_geometry(a: &Scene, b: &Scene) -> bool {
+/// Whether two scenes place the same objects, in the same order.
+fn same_objects(a: &Scene, b: &Scene) -> bool {
     a.objects.len() == b.objects.len()
         && a.instances.len() == b.instances.len()
         && a.objects.iter().zip(&b.objects).all(|(a, b)| Arc::ptr_eq(a, b))
-        && a.instances
-            .iter()
-            .zip(&b.instances)
-            .all(|(a, b)| a.object == b.object && a.to_world.fixed() == b.to_world.fixed())
+        && a.instances.iter().zip(&b.instances).all(|(a, b)| a.object == b.object)
+}
+
+/// Whether two scenes with the same objects and fixed transforms have them in the same places, as
+/// far as `asked` says.
+fn same_places(a: &Scene, b: &Scene, asked: impl Fn(&Object) -> bool) -> bool {
+    a.instances.iter().zip(&b.instances).all(|(was, is)| {
+        was.to_world.fixed() == is.to_world.fixed() || !asked(&a.objects[was.object.index()])
+    })
+}
+
+fn emits(object: &Object) -> bool {
+    object.shapes.iter().any(|shape| shape.emission.is_some())
+}
+
+/// Whether there is light from infinity, whose power depends on how large the scene is.
+fn lit_from_afar(scene: &Scene) -> bool {
+    let afar = |kind| matches!(kind, LightKind::Distant { .. } | LightKind::Environment { .. });
+    scene.lights.iter().any(|light| afar(light.kind))
+}
+
+/// Whether two scenes whose emitting objects are the same, in the same places, have the same lights:
+/// as bright, by the same keys.
+fn same_lights(a: &Scene, b: &Scene) -> bool {
+    a.lights.len() == b.lights.len()
+        && a.instances.iter().zip(&b.instances).all(|(a, b)| a.key == b.key)
+        && a.lights.iter().zip(&b.lights).all(|(a, b)| {
+            a.key == b.key && a.kind == b.kind && a.to_world.fixed() == b.to_world.fixed()
+        })
+        && a.textures == b.textures
+        && a.images.len() == b.images.len()
+        && a.images.iter().zip(&b.images).all(|(a, b)| Arc::ptr_eq(a, b))
 }
 
 /// The world-space box around all shapes, corners beyond [`MAX_COORDINATE`] left out; the unit box

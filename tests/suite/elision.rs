@@ -11,6 +11,7 @@ use afterimage::scene::{
     Scene, Shape, Texture, TextureKind, Track, Transform,
 };
 use afterimage::techniques::{REGISTRY, parse};
+use afterimage::world::Built;
 use glam::{Affine2, Affine3A, Vec3, Vec4};
 
 use crate::support::{bits, diffuse, environment, last_frame, light, look_at, polygon, room, shot};
@@ -296,4 +297,107 @@ fn a_chain_that_does_not_move_is_still() {
     chained.time = [0.0, 1.0];
     assert!(!Stage::new(chained.clone()).unwrap().facts().moves());
     assert_same(&scene, &chained);
+}
+
+/// A scene, and how it stands in the next frame.
+type Change = fn(&mut Scene);
+
+/// What of a scene is made anew for a frame is what has changed, for each kind of change by itself;
+/// the picture is that of a loop that knows no earlier frame.
+#[test]
+fn what_has_not_changed_is_not_built_again() {
+    // Of `room`: five walls, three balls, three lamps.
+    const BALL: usize = 5;
+    const LAMP: usize = 8;
+    fn moved(scene: &mut Scene, instance: usize) {
+        let place = Affine3A::from_translation(Vec3::new(0.01, 0.0, 0.0));
+        scene.instances[instance].to_world = Transform::Fixed(place);
+    }
+    let nothing = Built::default();
+    let tree = Built { instance_trees: 1, ..nothing };
+    let table = Built { light_tables: 1, ..nothing };
+    let all = Built { emitter_trees: 1, light_tables: 1, ..tree };
+    let changes: [(&str, Change, Built); 8] = [
+        ("nothing", |_| {}, nothing),
+        (
+            "camera",
+            |scene| scene.camera = look_at(Vec3::new(0.1, 1.0, -3.0), Vec3::Y, 0.75),
+            nothing,
+        ),
+        (
+            "material",
+            |scene| {
+                let reflectance = Color::Constant(Vec3::splat(0.3));
+                scene.materials[0] = Material::Diffuse { reflectance };
+            },
+            nothing,
+        ),
+        ("occluder", |scene| moved(scene, BALL), tree),
+        ("lamp", |scene| moved(scene, LAMP), all),
+        (
+            "brightness of a point light",
+            |scene| scene.lights[0].kind = LightKind::Point { intensity: Vec3::splat(0.7) },
+            table,
+        ),
+        (
+            "another shape",
+            |scene| {
+                let ball = Geometry::Sphere { center: Vec3::new(0.2, 1.5, 0.0), radius: 0.1 };
+                Arc::make_mut(&mut scene.objects[BALL]).shapes[0].geometry = ball;
+            },
+            Built { trees: 1, ..all },
+        ),
+        ("key of a lamp", |scene| scene.instances[LAMP].key = 77, table),
+    ];
+    let mut scene = room();
+    light(&mut scene, LightKind::Point { intensity: Vec3::splat(0.5) }, Affine3A::IDENTITY);
+    let stage = Stage::moving(scene.clone()).unwrap();
+    let shot = shot([8, 6], 3, 1);
+    for entry in REGISTRY {
+        for (name, change, expected) in changes {
+            let technique = || Arc::from(parse(entry.name).unwrap());
+            let mut frames = FrameLoop::new(technique(), &stage, shot).unwrap();
+            let first = frames.render_scene(scene.clone()).unwrap().built();
+            assert_eq!(first, nothing, "loading is no part of a frame");
+            let mut changed = scene.clone();
+            change(&mut changed);
+            let emitters = frames.plan().emitters;
+            let frame = frames.render_scene(changed.clone()).unwrap();
+            let built = frame.built();
+            let mut expected = expected;
+            expected.emitter_trees *= u32::from(emitters);
+            assert_eq!(built, expected, "{}: {name}", entry.name);
+            let picture = bits(&frame.picture());
+            let again = frames.render_scene(changed.clone()).unwrap().built();
+            assert_eq!(again, nothing, "{}: {name}, and then nothing", entry.name);
+            // A technique without history sees each frame as if it were the first.
+            if !frames.plan().keeps_history() {
+                let stage = Stage::moving(changed).unwrap();
+                let mut alone = FrameLoop::new(technique(), &stage, shot).unwrap();
+                alone.render().unwrap();
+                let fresh = bits(&alone.render().unwrap().picture());
+                assert!(picture == fresh, "{}: {name} is shown as it was", entry.name);
+            }
+        }
+    }
+}
+
+/// Light points and paths a pixel grow with the effort, and with nothing else.
+#[test]
+fn work_grows_with_the_effort() {
+    let stage = Stage::new(room()).unwrap();
+    // The third frame, where histories are there.
+    let third = |spec: &str, effort: u32| work(&stage, spec, shot([12, 8], 2, effort), 3)[2];
+    for spec in ["nee", "bsdf", "ris", "ris:candidates=3", "restir-di", "restir-di:candidates=5"] {
+        let one = third(spec, 1);
+        assert!(one.paths > 0 || one.candidates > 0, "{spec}: {one:?}");
+        for effort in [2, 3, 7] {
+            let many = third(spec, effort);
+            let times = u64::from(effort);
+            assert_eq!(many.candidates, times * one.candidates, "{spec}, effort {effort}");
+            assert_eq!(many.paths, times * one.paths, "{spec}, effort {effort}");
+            assert_eq!(many.temporal_merges, times * one.temporal_merges, "{spec}");
+            assert_eq!(many.primary_rays, one.primary_rays, "{spec}");
+        }
+    }
 }

@@ -3,6 +3,7 @@
 
 #[cfg(feature = "cli")]
 mod cli;
+mod course;
 mod determinism;
 mod elision;
 #[cfg(all(feature = "gpu", feature = "load"))]
@@ -11,6 +12,7 @@ mod laws;
 mod layering;
 mod learn;
 mod loaders;
+mod matrix;
 mod metamorphic;
 mod mutations;
 mod oracles;
@@ -22,6 +24,7 @@ mod planted;
 mod planted_reuse;
 mod references;
 mod reuse;
+mod stored;
 mod stress;
 mod style;
 mod support;

@@ -21,8 +21,8 @@ use afterimage::stats::Verdict;
 use afterimage::techniques::{Entry, Moving, Rung, Technique};
 use glam::Vec3;
 
-use crate::support::room;
-use crate::{determinism, laws};
+use crate::support::{room, shot};
+use crate::{determinism, laws, matrix};
 
 /// How many segments the last path of each pixel had.
 const SEGMENTS: BufferKey<u32> = BufferKey::new("segments");
@@ -224,6 +224,7 @@ fn it_keeps_the_laws() {
     laws::check_entries(&entries);
     laws::check_counters(&entries);
     laws::check_bands(&entries, &["walks:walks=3"]);
+    matrix::check_strips(&entries, &matrix::moving(), shot([24, 12], 2, 1));
     determinism::check_threads(&entries);
     determinism::check_seeds(&entries);
 }

@@ -89,6 +89,11 @@ impl Device {
         self.runner.scene_bytes()
     }
 
+    /// Bytes of the scene that were sent for the frame that was begun last.
+    pub(in crate::frame) fn sent_bytes(&self) -> u64 {
+        self.runner.sent_bytes()
+    }
+
     /// The first `passes` passes of a frame stay on the CPU.
     pub(in crate::frame) fn run_on_cpu(&mut self, passes: usize) {
         self.on_cpu = passes;

@@ -67,6 +67,8 @@ pub(super) struct DeviceRunner {
     scene: Arenas,
     /// The world that the scene shows.
     shown: Arc<World>,
+    /// Bytes of the scene that were sent for the frame that was begun last.
+    sent: u64,
     /// What the passes' pipelines know of the scene.
     compiled: SceneConstants,
     passes: Vec<Ready>,
@@ -199,6 +201,7 @@ impl DeviceRunner {
             gpu,
             scene,
             shown: world.clone(),
+            sent: 0,
             compiled,
             passes,
             spans,
@@ -220,6 +223,11 @@ impl DeviceRunner {
     /// Bytes of the scene on the device.
     pub(super) fn scene_bytes(&self) -> u64 {
         self.scene.get().bytes()
+    }
+
+    /// Bytes of the scene that were sent for the frame that was begun last.
+    pub(super) fn sent_bytes(&self) -> u64 {
+        self.sent
     }
 
     /// All state is zero again, and `world` is both this frame's and the previous one's.
@@ -273,6 +281,7 @@ impl DeviceRunner {
         (twins, plan): (&[Twin], &Plan),
     ) -> Result<()> {
         self.gpu.check()?;
+        self.sent = 0;
         if let Arenas::Own(scene) = &mut self.scene
             && !Arc::ptr_eq(&self.shown, frame.world)
         {
@@ -294,6 +303,7 @@ impl DeviceRunner {
                 let next = SceneBuffers::new(&self.gpu, worlds, &links, Some(&known))?;
                 self.show(next, how)?;
             }
+            self.sent = self.scene.get().sent();
             self.shown = frame.world.clone();
         }
         if frame.index > 0 {
