@@ -119,6 +119,34 @@ mod tests {
         assert_eq!((longer.len(), longer.probability(5)), (6, 0.0));
     }
 
+    /// Exactly, from the slots: each entry's share of all words is its weight, to the 32 bits of a
+    /// threshold.
+    #[test]
+    fn slots_share_the_words_by_weight() {
+        for n in [1_usize, 3, 17, 1000, 40_000] {
+            let weights: Vec<f64> = (0..n)
+                .map(|i| if i % 5 == 4 { 0.0 } else { 1.0 + 1e3 * ((i * i) as f64).sin().abs() })
+                .collect();
+            let table = AliasTable::new(&weights);
+            let mut shares = vec![0.0; n];
+            for slot in &table.slots {
+                let own = f64::from(slot.threshold) / 4_294_967_296.0;
+                shares[slot.own as usize] += own;
+                shares[slot.alias as usize] += 1.0 - own;
+            }
+            let total: f64 = weights.iter().sum();
+            let slots = table.slots.len() as f64;
+            for (i, (share, weight)) in shares.iter().zip(&weights).enumerate() {
+                let exact = weight / total * slots;
+                // One unit of a threshold for each slot that an entry may be the alias of.
+                let tolerance = 1e-6 * exact + 1e-9;
+                assert!((share - exact).abs() <= tolerance, "{i} of {n}: {share} for {exact}");
+                let stated = f64::from(table.probability(i as u32));
+                assert!((stated * total - weight).abs() <= 1e-6 * weight, "{i} of {n}");
+            }
+        }
+    }
+
     #[test]
     fn zero_weights_are_never_drawn() {
         let weights: Vec<f64> =

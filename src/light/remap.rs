@@ -80,6 +80,13 @@ mod tests {
         assert_eq!([0, 1, 2].map(|i| remap.to_current(i)), [Some(2), None, Some(0)]);
         assert_eq!([0, 1, 2].map(|i| remap.to_previous(i)), [Some(2), None, Some(0)]);
         assert_eq!(LightRemap::new(&before, &before), None);
+        // A map that is not its own inverse, with one that is gone and one that is new.
+        let (before, after) = (lights(&[1, 2, 3, 4]), lights(&[2, 3, 1, 5]));
+        let remap = LightRemap::new(&before, &after).unwrap();
+        let places = [Some(2), Some(0), Some(1), None];
+        assert_eq!([0, 1, 2, 3].map(|i| remap.to_current(i)), places);
+        let places = [Some(1), Some(2), Some(0), None];
+        assert_eq!([0, 1, 2, 3].map(|i| remap.to_previous(i)), places);
         assert_eq!(LightRemap::new(&before, &lights(&[])).unwrap().to_current(0), None);
     }
 }

@@ -43,8 +43,8 @@ pub struct Merges {
 /// A pixel's final state to radiance.
 ///
 /// Laws:
-/// 1. With one sample of one technique, every estimator is f / p: what merges leave of it, f(Y) V(Y)
-///    W with W = 1/p, when nothing is reused.
+/// 1. With one sample of one technique, every estimator is f / p: where nothing is reused, merges
+///    leave f(Y) V(Y) W of it, with W = 1/p.
 /// 2. `claim` depends on parameters and scene only, and says which condition fails.
 /// 3. Radiance is linear in the samples' weights.
 pub trait Estimator {

@@ -187,12 +187,82 @@ impl<'a> Similar<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::frame::Stage;
+    use crate::plan::{Filter, Shot};
+    use crate::scene::Scene;
+    use crate::techniques::parse;
 
     #[test]
     fn normals_come_back_to_a_ten_thousandth() {
         for n in [Vec3::X, -Vec3::Y, Vec3::Z, -Vec3::Z, Vec3::new(0.3, -0.8, -0.2).normalize()] {
             assert!((unpack_normal(pack_normal(n)) - n).length() < 2e-4, "{n}");
         }
+    }
+
+    /// Distances of neighbours are those of points spread uniformly over a disk: the mean of their
+    /// squares is half the radius's, in all directions alike. Masks of exchanges, too. (A radius
+    /// in proportion to u in place of its root has a third.)
+    #[test]
+    fn neighbours_are_spread_uniformly_over_a_disk() {
+        const RADIUS: f32 = 200.0;
+        let stage = Stage::new(Scene::new("empty")).unwrap();
+        let shot = Shot {
+            size: [1000, 1000],
+            depth: 2,
+            filter: Filter::Point,
+            run: 3,
+            effort: 1.0,
+            fps: 30,
+        };
+        let spec = "restir-di:taps=random,neighbours=4";
+        let plan = parse(spec).unwrap().plan(stage.facts(), &shot);
+        let world = stage.first_world();
+        let camera = world.scene.camera.rays(shot.size);
+        let inputs = FrameInputs {
+            world,
+            previous: None,
+            shot,
+            plan: &plan,
+            camera,
+            motion: None,
+            frame: 0,
+            buffers: &[],
+        };
+        let settings =
+            Settings { neighbours: 4, radius: RADIUS, taps: Taps::Random, ..Settings::default() };
+        let mut means = [[0.0_f64; 3]; 2];
+        let mut count = 0.0;
+        for round in 0..2 {
+            let offsets = Offsets::new(&inputs, &settings, round);
+            for at in 0..20_000 {
+                let (x, y) = (300 + at % 400, 300 + at / 400);
+                offsets.visit(&inputs, Pixel { index: y * 1000 + x, x, y }, |tap| {
+                    let Some(tap) = tap else { return };
+                    let there = [(tap.index % 1000) as f64, (tap.index / 1000) as f64];
+                    let [dx, dy] = [there[0] - f64::from(x), there[1] - f64::from(y)]
+                        .map(|d| d / f64::from(RADIUS));
+                    let farther = f64::from(RADIUS) * dx.abs().max(dy.abs());
+                    assert!((f64::from(tap.distance) - farther).abs() < 1e-6);
+                    means[0][0] += dx * dx + dy * dy;
+                    means[0][1] += dx;
+                    means[0][2] += dy;
+                    count += 1.0;
+                });
+            }
+        }
+        let exchanges = 20_000;
+        for key in 0..exchanges {
+            let (_, mask) = exchange(&mut Stream::from_key(key), RADIUS);
+            let [mx, my] = mask.map(|m| f64::from(m) / f64::from(RADIUS));
+            means[1][0] += mx * mx + my * my;
+            means[1][1] += mx * mx - my * my;
+        }
+        means[0].iter_mut().for_each(|mean| *mean /= count);
+        means[1].iter_mut().for_each(|mean| *mean /= exchanges as f64);
+        // Standard errors are 0.001 and 0.002.
+        assert!((means[0][0] - 0.5).abs() < 0.005, "{means:?}");
+        assert!(means[0][1].abs() < 0.01 && means[0][2].abs() < 0.01, "{means:?}");
+        assert!((means[1][0] - 0.5).abs() < 0.01 && means[1][1].abs() < 0.015, "{means:?}");
     }
 
     /// Exchanges pair pixels: the partner's partner is the pixel itself, no farther away than the

@@ -265,8 +265,8 @@ fn lit_from_afar(scene: &Scene) -> bool {
     scene.lights.iter().any(|light| afar(light.kind))
 }
 
-/// Whether two scenes whose emitting objects are the same, in the same places, have the same lights:
-/// as bright, by the same keys.
+/// Whether two scenes whose emitting objects are the same, in the same places, have the same
+/// lights: as bright, by the same keys.
 fn same_lights(a: &Scene, b: &Scene) -> bool {
     a.lights.len() == b.lights.len()
         && a.instances.iter().zip(&b.instances).all(|(a, b)| a.key == b.key)

@@ -110,9 +110,10 @@ mod tests {
     #[test]
     fn instances_are_found_by_key_in_both_directions() {
         assert_eq!(InstanceRemap::new(&[3, 1], &[3, 1]), None);
-        let (previous, current) = ([10, 11, 12], [12, 13, 10, 14]);
+        // A map that is not its own inverse.
+        let (previous, current) = ([10, 11, 12, 15], [12, 13, 15, 10, 14]);
         let remap = InstanceRemap::new(&previous, &current).unwrap();
-        assert_eq!(remap.previous_places(), [2, u32::MAX, 0, u32::MAX]);
+        assert_eq!(remap.previous_places(), [2, u32::MAX, 3, 0, u32::MAX]);
         let camera = crate::scene::Scene::new("empty").camera;
         let (rays, projection) = (camera.rays([1, 1]), camera.projection([1, 1]));
         let motion = Motion { camera: rays, projection, lights: None, instances: Some(remap) };
@@ -123,6 +124,10 @@ mod tests {
                 assert_eq!(motion.previous_instance(place), Some(at));
             }
         }
-        assert_eq!([1, 3, 4].map(|place| motion.previous_instance(place)), [None; 3]);
+        assert_eq!([1, 4, 5].map(|place| motion.previous_instance(place)), [None; 3]);
+        assert_eq!(
+            [0, 2, 3].map(|place| motion.current_instance(place)),
+            [Some(3), Some(0), Some(2)]
+        );
     }
 }

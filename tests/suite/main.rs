@@ -8,6 +8,8 @@ mod determinism;
 mod elision;
 #[cfg(all(feature = "gpu", feature = "load"))]
 mod gpu;
+mod guides;
+mod lamps;
 mod laws;
 mod layering;
 mod learn;

@@ -4,7 +4,8 @@
 //! The floor is seven strips: a Lambert surface, where the view cancels, and six where it does not.
 //! Each strip is a region of its own, so that no error hides behind a brighter surface. The truth
 //! is `nee` with a scene of that frame alone, which knows no other frame and which other tests hold
-//! to closed forms and to another renderer; its own standard error is asserted to be below a fifth of δ.
+//! to closed forms and to another renderer; its own standard error is asserted to be below a fifth
+//! of δ.
 
 use std::sync::Arc;
 

@@ -165,3 +165,38 @@ fn targets_and_visibility_in_every_record_are_those_of_its_pixel() {
         }
     }
 }
+
+/// Confidence counts frames up to the cap, and the sample of this frame; a sample grows older by
+/// one a frame, up to the oldest that is allowed, and to no more. Where nothing is taken from
+/// neighbours both are known exactly.
+#[test]
+fn confidences_and_ages_are_what_was_asked_for() {
+    let [still, ..] = courses();
+    let (_, course) = still;
+    let stage = Stage::new(course.base.clone()).unwrap();
+    let shot = shot([22, 11], 2, 1);
+    let frames = 8;
+    for cap in [0_u32, 1, 3, 20] {
+        for max_age in [0_u32, 1, 2, 5] {
+            let spec = format!("restir-di:neighbours=0,cap={cap},max-age={max_age}");
+            let mut frame_loop =
+                FrameLoop::new(Arc::from(parse(&spec).unwrap()), &stage, shot).unwrap();
+            let mut oldest = 0;
+            for index in 0..frames {
+                let frame = frame_loop.render().unwrap();
+                let records: &[Record] = frame.buffer("reservoirs").unwrap();
+                let confidence = 1 + index.min(cap);
+                for record in records.iter().filter(|record| record.confidence() > 0.0) {
+                    assert_eq!(record.confidence(), confidence as f32, "{spec}, frame {index}");
+                    oldest = oldest.max(record.age());
+                }
+            }
+            let expected = match (cap, max_age) {
+                (0, _) => 0,
+                (_, 0) => frames - 1,
+                (_, age) => age,
+            };
+            assert_eq!(oldest, expected, "{spec}");
+        }
+    }
+}
