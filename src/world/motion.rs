@@ -1,13 +1,14 @@
 //! What leads from one frame's world to the next one's.
 
 use std::collections::HashMap;
+use std::sync::Arc;
 
 use glam::Vec3;
 
 use super::World;
 use crate::accel::Hit;
 use crate::light::LightRemap;
-use crate::scene::{CameraRays, Projection};
+use crate::scene::{CameraRays, Instance, Object, Projection, Scene};
 
 /// How the previous frame was seen, and where its lights and instances are now.
 #[derive(Clone, Debug)]
@@ -22,7 +23,8 @@ pub struct Motion {
     pub instances: Option<InstanceRemap>,
 }
 
-/// Where instances stand in two frames' lists, by host key, both ways.
+/// Where instances stand in two frames' lists, by host key, both ways. An instance whose object is
+/// another in the other frame is not there: a primitive's number means another primitive.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct InstanceRemap {
     to_previous: Vec<u32>,
@@ -30,10 +32,15 @@ pub struct InstanceRemap {
 }
 
 impl InstanceRemap {
-    /// Between two lists of keys; `None` where they are the same.
+    /// Between the instances of two scenes; `None` where all are at the same place in both lists.
     #[must_use]
-    pub fn new(previous: &[u64], current: &[u64]) -> Option<Self> {
-        (previous != current).then(|| Self {
+    pub fn new(previous: &Scene, current: &Scene) -> Option<Self> {
+        let same = |(was, is): (&Instance, &Instance)| {
+            was.key == is.key && Arc::ptr_eq(object_of(previous, was), object_of(current, is))
+        };
+        let kept = previous.instances.len() == current.instances.len()
+            && previous.instances.iter().zip(&current.instances).all(same);
+        (!kept).then(|| Self {
             to_previous: places(current, previous),
             to_current: places(previous, current),
         })
@@ -46,25 +53,30 @@ impl InstanceRemap {
     }
 }
 
-/// For each of `keys` its place in `list`, or `u32::MAX`.
-fn places(keys: &[u64], list: &[u64]) -> Vec<u32> {
-    let known: HashMap<u64, u32> =
-        list.iter().enumerate().map(|(place, key)| (*key, place as u32)).collect();
-    keys.iter().map(|key| known.get(key).copied().unwrap_or(u32::MAX)).collect()
+fn object_of<'s>(scene: &'s Scene, instance: &Instance) -> &'s Arc<Object> {
+    &scene.objects[instance.object.index()]
+}
+
+/// For each instance of a scene its place in another one's list, or `u32::MAX`.
+fn places(of: &Scene, there: &Scene) -> Vec<u32> {
+    let known: HashMap<u64, u32> = (0..).zip(&there.instances).map(|(at, i)| (i.key, at)).collect();
+    let place = |instance: &Instance| {
+        let at = *known.get(&instance.key)?;
+        let found = &there.instances[at as usize];
+        Arc::ptr_eq(object_of(of, instance), object_of(there, found)).then_some(at)
+    };
+    of.instances.iter().map(|instance| place(instance).unwrap_or(u32::MAX)).collect()
 }
 
 impl Motion {
     /// Between the worlds of two frames of `size` pixels.
     #[must_use]
     pub fn new(previous: &World, current: &World, size: [u32; 2]) -> Self {
-        let keys = |world: &World| -> Vec<u64> {
-            world.scene.instances.iter().map(|instance| instance.key).collect()
-        };
         Self {
             camera: previous.scene.camera.rays(size),
             projection: previous.scene.camera.projection(size),
             lights: LightRemap::new(&previous.lights, &current.lights),
-            instances: InstanceRemap::new(&keys(previous), &keys(current)),
+            instances: InstanceRemap::new(&previous.scene, &current.scene),
         }
     }
 
@@ -106,28 +118,52 @@ fn place(places: &[u32], instance: u32) -> Option<u32> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::Transform;
+
+    /// A scene of instances by their keys, all of one object.
+    fn scene(keys: &[u64]) -> Scene {
+        let mut scene = Scene::new("keys");
+        let object = scene.add_object(Object::default());
+        keys.iter().for_each(|key| scene.add_instance(object, Transform::IDENTITY, *key));
+        scene
+    }
+
+    fn motion(instances: Option<InstanceRemap>) -> Motion {
+        let camera = Scene::new("empty").camera;
+        let (rays, projection) = (camera.rays([1, 1]), camera.projection([1, 1]));
+        Motion { camera: rays, projection, lights: None, instances }
+    }
 
     #[test]
     fn instances_are_found_by_key_in_both_directions() {
-        assert_eq!(InstanceRemap::new(&[3, 1], &[3, 1]), None);
+        let same = scene(&[3, 1]);
+        assert_eq!(InstanceRemap::new(&same, &same.clone()), None);
         // A map that is not its own inverse.
-        let (previous, current) = ([10, 11, 12, 15], [12, 13, 15, 10, 14]);
+        let keys = ([10, 11, 12, 15], [12, 13, 15, 10, 14]);
+        let (previous, mut current) = (scene(&keys.0), scene(&keys.1));
+        current.objects = previous.objects.clone();
         let remap = InstanceRemap::new(&previous, &current).unwrap();
         assert_eq!(remap.previous_places(), [2, u32::MAX, 3, 0, u32::MAX]);
-        let camera = crate::scene::Scene::new("empty").camera;
-        let (rays, projection) = (camera.rays([1, 1]), camera.projection([1, 1]));
-        let motion = Motion { camera: rays, projection, lights: None, instances: Some(remap) };
-        for (at, key) in (0..).zip(previous) {
+        let motion = motion(Some(remap));
+        for (at, key) in (0..).zip(keys.0) {
             let there = motion.current_instance(at);
-            assert_eq!(there.map(|place| current[place as usize]), (key != 11).then_some(key));
+            assert_eq!(there.map(|place| keys.1[place as usize]), (key != 11).then_some(key));
             if let Some(place) = there {
                 assert_eq!(motion.previous_instance(place), Some(at));
             }
         }
         assert_eq!([1, 4, 5].map(|place| motion.previous_instance(place)), [None; 3]);
-        assert_eq!(
-            [0, 2, 3].map(|place| motion.current_instance(place)),
-            [Some(3), Some(0), Some(2)]
-        );
+        assert_eq!([0, 2, 3].map(|at| motion.current_instance(at)), [Some(3), Some(0), Some(2)]);
+    }
+
+    #[test]
+    fn another_object_under_a_key_is_another_thing() {
+        let previous = scene(&[7, 8]);
+        let mut current = previous.clone();
+        let other = current.add_object(Object::default());
+        current.instances[1].object = other;
+        let motion = motion(InstanceRemap::new(&previous, &current));
+        assert_eq!([0, 1].map(|place| motion.previous_instance(place)), [Some(0), None]);
+        assert_eq!([0, 1].map(|place| motion.current_instance(place)), [Some(0), None]);
     }
 }

@@ -170,8 +170,9 @@ impl Lobes for Coated {
     }
 
     #[inline]
-    fn roughness(&self) -> f32 {
+    fn roughness(&self, lobe: u32) -> f32 {
         match self.coat {
+            _ if lobe == 1 => 1.0,
             Coat::Smooth => 0.0,
             Coat::Rough(ggx, _) => ggx.min_alpha(),
         }

@@ -91,7 +91,7 @@ impl Lobes for Conductor {
     }
 
     #[inline]
-    fn roughness(&self) -> f32 {
+    fn roughness(&self, _lobe: u32) -> f32 {
         self.surface.map_or(0.0, |ggx| ggx.min_alpha())
     }
 }

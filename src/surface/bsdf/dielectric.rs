@@ -187,7 +187,7 @@ impl Lobes for Dielectric {
     }
 
     #[inline]
-    fn roughness(&self) -> f32 {
+    fn roughness(&self, _lobe: u32) -> f32 {
         self.surface.map_or(0.0, |ggx| ggx.min_alpha())
     }
 }
@@ -258,7 +258,7 @@ impl Lobes for ThinDielectric {
     }
 
     #[inline]
-    fn roughness(&self) -> f32 {
+    fn roughness(&self, _lobe: u32) -> f32 {
         0.0
     }
 }

@@ -71,7 +71,7 @@ impl Lobes for Diffuse {
     }
 
     #[inline]
-    fn roughness(&self) -> f32 {
+    fn roughness(&self, _lobe: u32) -> f32 {
         1.0
     }
 }
@@ -150,7 +150,7 @@ impl Lobes for DiffuseTransmission {
     }
 
     #[inline]
-    fn roughness(&self) -> f32 {
+    fn roughness(&self, _lobe: u32) -> f32 {
         1.0
     }
 }

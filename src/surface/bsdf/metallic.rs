@@ -264,7 +264,7 @@ impl Lobes for Metallic {
     }
 
     #[inline]
-    fn roughness(&self) -> f32 {
-        self.surface.map_or(0.0, |ggx| ggx.min_alpha())
+    fn roughness(&self, lobe: u32) -> f32 {
+        if lobe == 1 { 1.0 } else { self.surface.map_or(0.0, |ggx| ggx.min_alpha()) }
     }
 }

@@ -128,8 +128,8 @@ trait Lobes {
     }
     /// Diffuse and specular colour.
     fn albedo(&self) -> Vec3;
-    /// Smallest α.
-    fn roughness(&self) -> f32;
+    /// α of a lobe, the smaller one where it is stretched: 1 for diffuse lobes, 0 for deltas.
+    fn roughness(&self, lobe: u32) -> f32;
 }
 
 /// A direction of a delta lobe.
@@ -307,13 +307,9 @@ impl Lobes for Mix {
         (0..2).map(|i| self.weights[i] * each_part!(&self.parts[i], lobes => lobes.albedo())).sum()
     }
 
-    fn roughness(&self) -> f32 {
-        let roughness = |i: usize| each_part!(&self.parts[i], lobes => lobes.roughness());
-        match self.weights {
-            [_, 0.0] => roughness(0),
-            [0.0, _] => roughness(1),
-            _ => roughness(0).min(roughness(1)),
-        }
+    fn roughness(&self, lobe: u32) -> f32 {
+        let (part, lobe) = self.part_of(lobe);
+        each_part!(&self.parts[part], lobes => lobes.roughness(lobe))
     }
 }
 
@@ -524,6 +520,33 @@ impl Bsdf {
         each!(self, lobes => lobes.evaluate(wo, wi, 1 << lobe))
     }
 
+    /// All lobes that are not deltas with the marginal density, and the joint density of one of
+    /// them: [`Bsdf::evaluate`] and the density of [`Bsdf::evaluate_lobe`] in one call.
+    #[inline]
+    #[must_use]
+    pub fn evaluate_with_lobe(&self, lobe: u32, wo: Vec3, wi: Vec3) -> (Evaluation, f32) {
+        each!(self, lobes => {
+            let total = lobes.evaluate(wo, wi, ALL);
+            let joint = if lobes.count() == 1 {
+                if lobe == 0 { total.pdf } else { 0.0 }
+            } else {
+                lobes.evaluate(wo, wi, 1 << lobe).pdf
+            };
+            (total, joint)
+        })
+    }
+
+    /// The direction that a lobe's map makes of two floats in [0, 1), as [`Bsdf::sample`] does;
+    /// `None` where it leaves the lobe's hemisphere, and for deltas.
+    #[inline]
+    #[must_use]
+    pub fn direction(&self, lobe: u32, wo: Vec3, u: Vec2) -> Option<Vec3> {
+        each!(self, lobes => {
+            let mapped = wo.z != 0.0 && lobe < lobes.count() && !lobes.is_delta(lobe);
+            if mapped { lobes.direction(lobe, wo, u) } else { None }
+        })
+    }
+
     /// The floats from which a lobe's direction map makes `wi`; `None` where it never does, and for
     /// deltas.
     #[inline]
@@ -549,11 +572,11 @@ impl Bsdf {
         each!(self, lobes => lobes.albedo()).clamp(Vec3::ZERO, Vec3::ONE)
     }
 
-    /// Smallest α of the lobes: 1 for diffuse ones, 0 for deltas.
+    /// α of a lobe, the smaller one where it is stretched: 1 for diffuse lobes, 0 for deltas.
     #[inline]
     #[must_use]
-    pub fn roughness(&self) -> f32 {
-        each!(self, lobes => lobes.roughness())
+    pub fn lobe_roughness(&self, lobe: u32) -> f32 {
+        each!(self, lobes => lobes.roughness(lobe))
     }
 }
 

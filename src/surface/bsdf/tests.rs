@@ -60,8 +60,9 @@ fn views() -> Vec<Vec3> {
         .collect()
 }
 
-fn lobe_direction(bsdf: &Bsdf, lobe: u32, wo: Vec3, u: Vec2) -> Option<Vec3> {
-    each!(bsdf, lobes => lobes.direction(lobe, wo, u))
+/// α of the smoothest lobe.
+fn finest(bsdf: &Bsdf) -> f32 {
+    (0..bsdf.lobe_count()).map(|lobe| bsdf.lobe_roughness(lobe)).fold(1.0, f32::min)
 }
 
 fn lobe_pdf(bsdf: &Bsdf, lobe: u32, wo: Vec3, wi: Vec3) -> f32 {
@@ -93,7 +94,7 @@ fn albedo(bsdf: &Bsdf, wo: Vec3, grid: u32) -> Vec3 {
         let mut mean = glam::DVec3::ZERO;
         for i in 0..grid * grid {
             let u = Vec2::new((i % grid) as f32 + 0.5, (i / grid) as f32 + 0.5) / grid as f32;
-            if let Some(wi) = lobe_direction(bsdf, lobe, wo, u) {
+            if let Some(wi) = bsdf.direction(lobe, wo, u) {
                 let e = bsdf.evaluate_lobe(lobe, wo, wi);
                 if e.pdf > 0.0 {
                     mean += (e.value / (e.pdf / probability)).as_dvec3();
@@ -129,7 +130,7 @@ fn every_lobe_samples_its_density() {
                     let check = check_sphere(
                         grid,
                         || {
-                            let wi = lobe_direction(&bsdf, lobe, wo, uniform2(&mut stream))?;
+                            let wi = bsdf.direction(lobe, wo, uniform2(&mut stream))?;
                             assert!(lobe_pdf(&bsdf, lobe, wo, wi) > 0.0, "{name} {wo} {wi}");
                             Some(wi)
                         },
@@ -166,7 +167,7 @@ fn refraction_densities_integrate_to_one() {
             let mut stream = Stream::from_key(8);
             let draws = 100_000;
             let kept = (0..draws)
-                .filter(|_| lobe_direction(&bsdf, 1, wo, uniform2(&mut stream)).is_some())
+                .filter(|_| bsdf.direction(1, wo, uniform2(&mut stream)).is_some())
                 .count() as f64
                 / f64::from(draws);
             // 4.5 standard errors of the share of draws that are not totally reflected.
@@ -214,7 +215,7 @@ fn planted_errors_are_found() {
         let mut stream = Stream::from_key(5);
         check_sphere(
             Grid::new(20, 20, 200_000),
-            || lobe_direction(&bsdf, 0, wo, uniform2(&mut stream)),
+            || bsdf.direction(0, wo, uniform2(&mut stream)),
             pdf,
         )
         .agrees(ALPHA)
@@ -232,12 +233,12 @@ fn inversion_and_jacobian() {
     for alpha in [1e-3, 0.01, 0.1, 0.5, 1.0] {
         for anisotropy in [1.0, 10.0] {
             for (name, bsdf) in families(alpha, anisotropy) {
-                let finest = bsdf.roughness().max(1e-4);
+                let finest = finest(&bsdf).max(1e-4);
                 for wo in views() {
                     for lobe in (0..bsdf.lobe_count()).filter(|&lobe| !bsdf.is_delta(lobe)) {
                         for _ in 0..20 {
                             let u = Vec2::new(0.02, 0.02) + 0.96 * uniform2(&mut stream);
-                            let at = |u| lobe_direction(&bsdf, lobe, wo, u);
+                            let at = |u| bsdf.direction(lobe, wo, u);
                             let Some(wi) = at(u) else { continue };
                             let context =
                                 || format!("{name} {alpha}/{anisotropy} lobe {lobe} wo {wo} u {u}");
@@ -285,7 +286,7 @@ fn density_is_one_over_the_jacobian() {
                 for _ in 0..50 {
                     let u = Vec2::splat(0.05) + 0.9 * uniform2(&mut stream);
                     let at = |x: f32, y: f32| {
-                        lobe_direction(&bsdf, lobe, wo, u + Vec2::new(x, y)).map(|d| d.as_dvec3())
+                        bsdf.direction(lobe, wo, u + Vec2::new(x, y)).map(|d| d.as_dvec3())
                     };
                     // Central differences at h and h/2, extrapolated (Richardson).
                     let difference = |h: f32, axis: Vec2| {
@@ -324,6 +325,23 @@ fn density_is_one_over_the_jacobian() {
     assert!(tried > 1_000, "{tried}");
 }
 
+/// Each lobe has the roughness of its own kind, whatever stands beside it.
+#[test]
+fn lobes_have_a_roughness_each() {
+    let alpha = Vec2::new(0.3, 0.1);
+    let of = |bsdf: Bsdf| -> Vec<f32> {
+        (0..bsdf.lobe_count()).map(|lobe| bsdf.lobe_roughness(lobe)).collect()
+    };
+    let coated = Bsdf::coated_diffuse(Vec3::ONE, 1.5, alpha);
+    let glass = Bsdf::dielectric(1.5, Vec2::ZERO);
+    assert_eq!(of(Bsdf::diffuse(Vec3::ONE)), [1.0]);
+    assert_eq!(of(coated), [0.1, 1.0]);
+    assert_eq!(of(Bsdf::dielectric(1.5, alpha)), [0.1, 0.1]);
+    assert_eq!(of(glass), [0.0, 0.0]);
+    assert_eq!(of(gltf(0.3, 0.5, 0.4)), [0.25, 1.0, 0.25]);
+    assert_eq!(of(Bsdf::mix(&glass, &coated, 0.5).unwrap()), [0.0, 0.0, 0.1, 1.0]);
+}
+
 #[test]
 fn samples_lobes_and_totals_agree() {
     let mut stream = Stream::from_key(9);
@@ -346,6 +364,9 @@ fn samples_lobes_and_totals_agree() {
                     } else {
                         assert_eq!((value, pdf), (evaluated.value, evaluated.pdf), "{name}");
                     }
+                    let both = bsdf.evaluate_with_lobe(lobe.into(), wo, wi);
+                    let joint = bsdf.evaluate_lobe(lobe.into(), wo, wi).pdf;
+                    assert_eq!(both, (evaluated, joint), "{name}");
                     let lobes = (0..count).map(|lobe| bsdf.evaluate_lobe(lobe, wo, wi));
                     let sum = lobes.fold(Evaluation::ZERO, |sum, lobe| Evaluation {
                         value: sum.value + lobe.value,
@@ -478,7 +499,7 @@ fn albedo_of_lobe(bsdf: &Bsdf, lobe: u32, wo: Vec3) -> f32 {
     let mut sum = 0.0;
     for i in 0..grid * grid {
         let u = Vec2::new((i % grid) as f32 + 0.5, (i / grid) as f32 + 0.5) / grid as f32;
-        if let Some(wi) = lobe_direction(bsdf, lobe, wo, u) {
+        if let Some(wi) = bsdf.direction(lobe, wo, u) {
             let e = bsdf.evaluate_lobe(lobe, wo, wi);
             if e.pdf > 0.0 {
                 sum += f64::from(e.value.x / e.pdf * bsdf.lobe_probability(lobe, wo));
@@ -531,7 +552,7 @@ fn nothing_changes_at_the_smooth_threshold() {
     for wo in [1.0, 0.7, 0.1, -0.9].map(|mu| direction(mu, 0.1)) {
         let pair = |make: &dyn Fn(Vec2) -> Bsdf| {
             let (smooth, rough) = (make(Vec2::splat(0.999e-3)), make(Vec2::splat(1.001e-3)));
-            assert_eq!((smooth.roughness(), rough.roughness()), (0.0, 1.001e-3));
+            assert_eq!((finest(&smooth), finest(&rough)), (0.0, 1.001e-3));
             let (a, b) = (albedo(&smooth, wo, 100), albedo(&rough, wo, 100));
             assert!((a - b).abs().max_element() < 1e-2 * a.max_element(), "{wo}: {a} {b}");
             assert_eq!(smooth.lobe_count(), rough.lobe_count());
