@@ -101,9 +101,9 @@ pub trait Visitor {
     /// light of a path that ends there.
     fn light(&mut self, number: u32, at: &Vertex, throughput: Vec3, sample: &LightSample);
 
-    /// The direction that the vertex scatters into.
+    /// The direction that the vertex scatters into; `direction` is the sample's in world space.
     #[inline(always)]
-    fn scatter(&mut self, _number: u32, _at: &Vertex, _sample: &BsdfSample) {}
+    fn scatter(&mut self, _number: u32, _at: &Vertex, _sample: &BsdfSample, _direction: Vec3) {}
 
     /// The path goes on with probability `survival`.
     #[inline(always)]
@@ -322,7 +322,8 @@ pub fn walk<const LIGHTS: u8, const DIRECT: bool, F: HitFilter>(
         if throughput == Vec3::ZERO {
             break;
         }
-        visitor.scatter(number, &vertex, &sample);
+        direction = vertex.surface.frame.to_world(sample.wi).normalize();
+        visitor.scatter(number, &vertex, &sample, direction);
         if number >= limits.roulette_after {
             let survival = survival(throughput, eta_scale);
             if unit_float(draw4(seed, number, BLOCK_ROULETTE)[0]) >= survival {
@@ -332,7 +333,6 @@ pub fn walk<const LIGHTS: u8, const DIRECT: bool, F: HitFilter>(
             visitor.survive(survival);
         }
 
-        direction = vertex.surface.frame.to_world(sample.wi).normalize();
         let Some(next) = steps.onward(&vertex, direction, counters) else {
             if counted {
                 for end in steps.skies(&sample, direction) {

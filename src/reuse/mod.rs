@@ -34,6 +34,7 @@ pub mod light_points;
 mod mutate;
 pub(crate) mod parameters;
 pub(crate) mod passes;
+pub mod paths;
 pub mod policy;
 mod shade;
 mod spatial;

@@ -20,6 +20,7 @@ mod mutations;
 mod oracles;
 #[cfg(feature = "experiment")]
 mod outside;
+mod paths;
 #[cfg(feature = "cli")]
 mod peer;
 mod planted;

@@ -1,0 +1,132 @@
+//! Light along paths at a primary hit: the domain whose samples are the random numbers of a path.
+//!
+//! | here | meaning |
+//! |---|---|
+//! | v₀ … v_n | the vertices that scatter; v₀ is the primary hit, n is [`PathSample::last`] |
+//! | end | a light that v_n sampled, an emitter or a sky that its direction met |
+//! | F | Π f/p̄ · L ω: the integrand in primary sample space, with p̄ the density of the direction over all lobes and ω the share of the end's technique; roulette is no part of it |
+//! | p̂ | luminance of F |
+//! | W | 1/density of the numbers: 1 for a fresh path ([`crate::resampling::PrimarySample`]) |
+//! | x_r | the reconnection vertex: what a shift keeps of the path from there on; v_r, or the end |
+//! | ℓᵢ | the lobe that vᵢ scattered by |
+//! | p(ω, ℓ) | joint density of lobe and direction per solid angle |
+//!
+//! A path's first connectable pair decides x_r: vertices far enough apart, both rough ([`Connects`]).
+//! It is found from the path's own vertices and lobes alone: a path that ends with a light sample
+//! at v_n knows nothing of the direction that the walk takes from there afterwards.
+//!
+//! Papers: Lin et al. (2022), *Generalized Resampled Importance Sampling*; its numbering has x₁ for
+//! our v₀.
+
+mod record;
+mod tree;
+
+use glam::Vec3;
+
+pub use record::PathRecord;
+pub use tree::Tree;
+
+use crate::accel::Hit;
+use crate::light::LightPoint;
+use crate::math::luminance;
+
+/// No lobe: a light sample takes all that are not deltas, and an end has none.
+pub const NO_LOBE: u8 = 7;
+
+/// How a path ends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ending {
+    /// By a light that the last vertex sampled.
+    Light {
+        /// Whether BSDF sampling cannot find it, so that ω is 1.
+        delta: bool,
+    },
+    /// At an emitter that the last vertex's direction met.
+    Emitter,
+    /// In a sky.
+    Sky,
+}
+
+/// What a shift keeps at x_r.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Anchor {
+    /// The surface at a hit (its t is of no use elsewhere, and 0): a vertex that scatters, or an
+    /// emitter.
+    Surface(Hit),
+    /// A point on a light: the end of a path by a light sample.
+    Point(LightPoint),
+    /// A direction towards the sky that is light number `light`.
+    Sky {
+        /// In the light table.
+        light: u32,
+    },
+}
+
+/// Where a shifted path meets the path that it is shifted from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reconnection {
+    /// r ≥ 1; r = n + 1 is the end.
+    pub vertex: u8,
+    /// ℓ_{r−1} and ℓ_r.
+    pub lobes: [u8; 2],
+    /// What is kept.
+    pub anchor: Anchor,
+    /// Unit direction from x_r onward; where x_r is the end, from v_n to it.
+    pub direction: Vec3,
+    /// Where r < n: Π f/p̄ of v_{r+1} … v_n, times the light and its ω. Where r = n: the light alone,
+    /// since ω depends on what comes before x_r. Where r = n + 1: the light towards v_n, of no use
+    /// elsewhere.
+    pub radiance: Vec3,
+    /// The path's part of \|∂T\|: p(ω_{r−1}, ℓ_{r−1}) g p(ω_r, ℓ_r), with g = \|cos\|/d² at x_r by its
+    /// geometric normal. Without the last factor where the light at v_r is sampled or x_r is an
+    /// emitter; p(ω, ℓ) alone for a sky; for a point on a light the density of light sampling, in
+    /// the light's measure.
+    pub density: f32,
+    /// p ℓ of the end at v_n per solid angle, where r = n; else 0.
+    pub light_density: f32,
+}
+
+/// A path from a primary hit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PathSample {
+    /// All of its numbers.
+    pub seed: u64,
+    /// F.
+    pub integrand: Vec3,
+    /// n.
+    pub last: u8,
+    /// How it ends.
+    pub ending: Ending,
+    /// `None`: a shift replays it to its end.
+    pub reconnection: Option<Reconnection>,
+}
+
+impl PathSample {
+    /// p̂.
+    #[inline]
+    #[must_use]
+    pub fn target(&self) -> f32 {
+        luminance(self.integrand)
+    }
+}
+
+/// Which pairs of vertices a shift may connect: both rough, and far enough apart (Lin et al. 2022,
+/// section 7).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Connects {
+    /// Least distance, in scene units.
+    pub distance: f32,
+    /// Least α of a lobe.
+    pub roughness: f32,
+}
+
+impl Connects {
+    /// α from which on a lobe is rough: the paper's roughness 0.2, squared.
+    pub const ROUGHNESS: f32 = 0.04;
+
+    /// For a scene whose bounds have this diagonal: vertices a hundredth of it apart.
+    #[must_use]
+    pub fn of_diagonal(diagonal: f32) -> Self {
+        Self { distance: 0.01 * diagonal, roughness: Self::ROUGHNESS }
+    }
+}

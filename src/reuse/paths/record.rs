@@ -1,0 +1,237 @@
+//! Finished reservoirs of paths as they lie in the loop's buffers.
+
+use bytemuck::{Pod, Zeroable};
+use glam::{Vec2, Vec3};
+
+use super::{Anchor, Ending, PathSample, Reconnection};
+use crate::accel::Hit;
+use crate::light::LightPoint;
+use crate::math::{octahedral_decode, octahedral_encode};
+use crate::resampling::{ContributionWeight, Finished, PrimarySample};
+
+/// A finished reservoir of one pixel: 20 words, 80 bytes, exact but for the direction, which comes
+/// back to 2⁻²².
+///
+/// | word | field |
+/// |---|---|
+/// | 0 | W |
+/// | 1–3 | F |
+/// | 4–5 | seed |
+/// | 6 | n, r (0: none), confidence, age, 8 bits each |
+/// | 7 | ending 2, delta light 1, anchor 2, ℓ_{r−1} 3, ℓ_r 3 bits |
+/// | 8–11 | anchor: instance, primitive, u, v; or light, u, v |
+/// | 12–13 | direction, octahedral |
+/// | 14–16 | radiance |
+/// | 17 | density |
+/// | 18 | light density |
+/// | 19 | free |
+///
+/// All zeros is an empty record without confidence.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct PathRecord([u32; 20]);
+
+/// Largest confidence that a record holds.
+const MAX_CONFIDENCE: f32 = 255.0;
+
+const fn bits(word: u32, from: u32, count: u32) -> u32 {
+    word >> from & ((1 << count) - 1)
+}
+
+impl PathRecord {
+    /// A finished reservoir and its sample's age in frames, which saturates.
+    #[must_use]
+    pub fn new(finished: &Finished<PathSample, PrimarySample>, age: u32) -> Self {
+        let mut words = [0; 20];
+        let confidence = finished.confidence.min(MAX_CONFIDENCE) as u32;
+        words[6] = confidence << 16 | age.min(255) << 24;
+        let Some(sample) = &finished.sample else { return Self(words) };
+        words[0] = finished.weight.get().to_bits();
+        words[1..4].copy_from_slice(&sample.integrand.to_array().map(f32::to_bits));
+        words[4..6].copy_from_slice(&[sample.seed as u32, (sample.seed >> 32) as u32]);
+        words[6] |= u32::from(sample.last);
+        words[7] = match sample.ending {
+            Ending::Light { delta } => u32::from(delta) << 2,
+            Ending::Emitter => 1,
+            Ending::Sky => 2,
+        };
+        let Some(reconnection) = &sample.reconnection else { return Self(words) };
+        words[6] |= u32::from(reconnection.vertex) << 8;
+        let lobes = reconnection.lobes.map(u32::from);
+        words[7] |= lobes[0] << 5 | lobes[1] << 8;
+        match reconnection.anchor {
+            Anchor::Surface(hit) => {
+                let place = [hit.instance, hit.primitive, hit.u.to_bits(), hit.v.to_bits()];
+                words[8..12].copy_from_slice(&place);
+            }
+            Anchor::Point(LightPoint { light, uv }) => {
+                words[7] |= 1 << 3;
+                words[8..11].copy_from_slice(&[light, uv.x.to_bits(), uv.y.to_bits()]);
+            }
+            Anchor::Sky { light } => {
+                words[7] |= 2 << 3;
+                words[8] = light;
+            }
+        }
+        let code = octahedral_encode(reconnection.direction);
+        words[12..14].copy_from_slice(&code.to_array().map(f32::to_bits));
+        words[14..17].copy_from_slice(&reconnection.radiance.to_array().map(f32::to_bits));
+        words[17] = reconnection.density.to_bits();
+        words[18] = reconnection.light_density.to_bits();
+        Self(words)
+    }
+
+    /// The finished reservoir.
+    #[must_use]
+    pub fn finished(&self) -> Finished<PathSample, PrimarySample> {
+        let words = &self.0;
+        let float = |at: usize| f32::from_bits(words[at]);
+        let triple = |at: usize| Vec3::new(float(at), float(at + 1), float(at + 2));
+        let confidence = self.confidence();
+        let weight = float(0);
+        if weight == 0.0 {
+            return Finished::empty(confidence);
+        }
+        let ending = match bits(words[7], 0, 2) {
+            0 => Ending::Light { delta: bits(words[7], 2, 1) != 0 },
+            1 => Ending::Emitter,
+            _ => Ending::Sky,
+        };
+        let vertex = bits(words[6], 8, 8) as u8;
+        let anchor = match bits(words[7], 3, 2) {
+            0 => Anchor::Surface(Hit {
+                t: 0.0,
+                u: float(10),
+                v: float(11),
+                primitive: words[9],
+                instance: words[8],
+            }),
+            1 => Anchor::Point(LightPoint { light: words[8], uv: Vec2::new(float(9), float(10)) }),
+            _ => Anchor::Sky { light: words[8] },
+        };
+        let reconnection = (vertex > 0).then(|| Reconnection {
+            vertex,
+            lobes: [bits(words[7], 5, 3) as u8, bits(words[7], 8, 3) as u8],
+            anchor,
+            direction: octahedral_decode(Vec2::new(float(12), float(13))),
+            radiance: triple(14),
+            density: float(17),
+            light_density: float(18),
+        });
+        let sample = PathSample {
+            seed: u64::from(words[4]) | u64::from(words[5]) << 32,
+            integrand: triple(1),
+            last: bits(words[6], 0, 8) as u8,
+            ending,
+            reconnection,
+        };
+        Finished { sample: Some(sample), weight: ContributionWeight::new(weight), confidence }
+    }
+
+    /// F of the sample; 0 without one.
+    #[inline]
+    #[must_use]
+    pub fn integrand(&self) -> Vec3 {
+        Vec3::from([1, 2, 3].map(|at| f32::from_bits(self.0[at])))
+    }
+
+    /// c: 0 where the surface scatters nothing.
+    #[inline]
+    #[must_use]
+    pub fn confidence(&self) -> f32 {
+        bits(self.0[6], 16, 8) as f32
+    }
+
+    /// Frames since the sample was a fresh candidate.
+    #[inline]
+    #[must_use]
+    pub fn age(&self) -> u32 {
+        bits(self.0[6], 24, 8)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::rng::{RandomSource, Stream};
+
+    fn direction(random: &mut Stream, round: u32) -> Vec3 {
+        let mut d = Vec3::from([(); 3].map(|()| 2.0 * random.uniform() - 1.0));
+        // Poles, seams and the diagonals of the octahedron, too.
+        match round % 8 {
+            0 => d = [Vec3::Z, Vec3::NEG_Z, Vec3::X, Vec3::NEG_Y][(round / 8 % 4) as usize],
+            1 => d.z = 0.0,
+            2 => d.x = -0.0,
+            3 => d.y = 1e-20,
+            4 => d.z = -1e-7,
+            _ => {}
+        }
+        if d.length() < 1e-3 { Vec3::X } else { d.normalize() }
+    }
+
+    /// Everything that a record holds, at its limits too, comes back: exactly, the direction to a
+    /// few units of its last place.
+    #[test]
+    fn records_come_back() {
+        assert_eq!(size_of::<PathRecord>(), 80);
+        let mut random = Stream::from_key(3);
+        for round in 0..40_000 {
+            let endings = [
+                Ending::Light { delta: false },
+                Ending::Light { delta: true },
+                Ending::Emitter,
+                Ending::Sky,
+            ];
+            let mut float = || f32::from_bits(random.word() & 0x7FFF_FFFF);
+            let mut finite = || loop {
+                let x = float();
+                if x.is_finite() {
+                    return x;
+                }
+            };
+            let [a, b, c, d, e, f, g, h] = [(); 8].map(|()| finite());
+            let hit = Hit { t: 0.0, u: 0.25, v: -0.0, primitive: 1 << 29, instance: u32::MAX };
+            let uv = Vec2::new(0.0, 1.0 - f32::EPSILON);
+            let anchors = [
+                Anchor::Surface(hit),
+                Anchor::Point(LightPoint { light: u32::MAX - 1, uv }),
+                Anchor::Sky { light: 0 },
+            ];
+            let anchor = anchors[random.index(3) as usize];
+            let reconnection = (round % 5 > 0).then(|| Reconnection {
+                vertex: [1, 2, 100, 255][random.index(4) as usize],
+                lobes: [random.index(8) as u8, random.index(8) as u8],
+                anchor,
+                direction: direction(&mut random, round),
+                radiance: Vec3::new(a, b, 0.0),
+                density: c,
+                light_density: d,
+            });
+            let sample = PathSample {
+                seed: u64::from(random.word()) << 32 | u64::from(random.word()),
+                integrand: Vec3::new(e, f, g),
+                last: [0, 1, 7, 255][random.index(4) as usize],
+                ending: endings[random.index(4) as usize],
+                reconnection,
+            };
+            let confidence = [0.0, 1.0, 21.0, 255.0][random.index(4) as usize];
+            let weight = ContributionWeight::new(h.max(f32::MIN_POSITIVE));
+            let finished = Finished { sample: Some(sample), weight, confidence };
+            let record = PathRecord::new(&finished, round);
+            let mut back = record.finished();
+            if let (Some(ours), Some(theirs)) =
+                (sample.reconnection, back.sample.as_mut().unwrap().reconnection.as_mut())
+            {
+                let error = (ours.direction - theirs.direction).length();
+                assert!(error < 3e-7, "{} came back as {}", ours.direction, theirs.direction);
+                theirs.direction = ours.direction;
+            }
+            assert_eq!(back, finished);
+            assert_eq!((record.age(), record.confidence()), (round.min(255), confidence));
+            assert_eq!(record.integrand(), sample.integrand);
+        }
+        let empty = Finished::empty(9.0);
+        assert_eq!(PathRecord::new(&empty, 0).finished(), empty);
+        assert_eq!(PathRecord::zeroed().finished(), Finished::empty(0.0));
+    }
+}
