@@ -7,9 +7,15 @@ use afterimage::light::LightPoint;
 use afterimage::math::luminance;
 use afterimage::math::rng::{Stream, path_seed};
 use afterimage::path::{Limits, Steps, sampled, scattered_radiance, walk};
-use afterimage::resampling::{Plain, Reservoir};
-use afterimage::reuse::paths::{Anchor, Connects, Ending, NO_LOBE, PathSample, Tree};
+use afterimage::resampling::{
+    Family, Finished, Input, Plain, PrimarySample, Reservoir, ShiftMap, Shifted, merge,
+};
+use afterimage::reuse::light_points::Time;
+use afterimage::reuse::paths::{
+    Anchor, Connects, Ending, Failure, NO_LOBE, PathReceiver, PathSample, PathShift, Tree,
+};
 use afterimage::scene::{LightKind, Scene};
+use afterimage::stats::{Moments, t_test};
 use afterimage::world::World;
 use glam::{Affine3A, Vec2, Vec3};
 
@@ -66,7 +72,7 @@ fn the_tree_sums_to_nee() {
                 let mut reservoir = Plain::default();
                 let connects = Connects::of_diagonal(4.0);
                 let how = (seed, 1);
-                let mut tree = Tree::new(&world.lights, connects, how, &mut reservoir, &mut random);
+                let mut tree = Tree::new(world, connects, how, &mut reservoir, &mut random);
                 let steps = Steps::<{ sampled::ONE }, _> { world, filter: &AcceptAll };
                 walk::<_, true, _>(&steps, seed, primary, limits, &mut tree, &mut counters[1]);
                 assert_eq!(
@@ -75,8 +81,7 @@ fn the_tree_sums_to_nee() {
                 );
                 assert_eq!(counters[0], counters[1]);
                 let target = reservoir.selected().map_or(0.0, |sample: PathSample| sample.target());
-                let finished =
-                    reservoir.finish::<afterimage::resampling::PrimarySample>(target, 1.0);
+                let finished = reservoir.finish::<PrimarySample>(target, 1.0);
                 let estimate = target * finished.weight.get();
                 assert!((estimate - luminance(shown)).abs() <= 1e-5 * luminance(shown));
                 if finished.sample.is_some() { lit += 1 } else { dark += 1 }
@@ -99,15 +104,13 @@ fn reconnections_are_of_the_path_they_belong_to() {
             let limits = Limits { depth: 9, roulette_after: 5 };
             let mut reservoir = Plain::default();
             let connects = Connects::of_diagonal(4.0);
-            let mut tree =
-                Tree::new(&world.lights, connects, (seed, 1), &mut reservoir, &mut random);
+            let mut tree = Tree::new(world, connects, (seed, 1), &mut reservoir, &mut random);
             let steps = Steps::<{ sampled::ONE }, _> { world, filter: &AcceptAll };
             walk::<_, true, _>(&steps, seed, primary, limits, &mut tree, &mut Counters::default());
             let Some(sample): Option<PathSample> = reservoir.selected() else { return };
             assert!(sample.target() > 0.0 && sample.seed == seed && sample.last < 8);
             let Some(kept) = sample.reconnection else {
-                // Light samples always have something to keep.
-                assert!(!matches!(sample.ending, Ending::Light { .. }));
+                assert!(!matches!(sample.ending, Ending::Light { .. }), "{sample:?}");
                 met[7] += 1;
                 return;
             };
@@ -133,7 +136,7 @@ fn reconnections_are_of_the_path_they_belong_to() {
                     assert!(world.lights.of_surface(at.shape, at.element) < 99, "{hit:?}");
                     3
                 }
-                (Ending::Sky, Anchor::Sky { light }) => {
+                (Ending::Sky { .. }, Anchor::Sky { light }) => {
                     assert!(world.lights.environments().any(|(sky, _)| sky == light));
                     4
                 }
@@ -148,4 +151,210 @@ fn reconnections_are_of_the_path_they_belong_to() {
         });
     }
     assert!(met.iter().all(|count| *count > 10), "{met:?}");
+}
+
+/// What the tree of a seed selects at a primary hit, with W.
+fn drawn(
+    world: &World,
+    receiver: &PathReceiver<'_>,
+    seed: u64,
+    random: &mut Stream,
+) -> Finished<PathSample, PrimarySample> {
+    let mut reservoir = Plain::default();
+    let mut tree = Tree::new(world, CONNECTS, (seed, 1), &mut reservoir, random);
+    let steps = Steps::<{ sampled::ONE }, _> { world, filter: &AcceptAll };
+    let primary = (receiver.direction, &receiver.hit);
+    let limits = Limits { depth: 7, roulette_after: 5 };
+    walk::<_, true, _>(&steps, seed, primary, limits, &mut tree, &mut Counters::default());
+    let target = reservoir.selected().map_or(0.0, |sample: PathSample| sample.target());
+    reservoir.finish(target, 1.0)
+}
+
+const CONNECTS: Connects = Connects { distance: 0.05, roughness: Connects::ROUGHNESS };
+
+/// The receivers of all pixels that see a surface which scatters.
+fn receivers(world: &World) -> Vec<PathReceiver<'_>> {
+    let rays = world.scene.camera.rays(SIZE);
+    (0..SIZE[0] * SIZE[1])
+        .filter_map(|pixel| {
+            let at = Vec2::new((pixel % SIZE[0]) as f32, (pixel / SIZE[0]) as f32) + 0.5;
+            let ray = rays.ray(at);
+            let (origin, direction) = (ray.origin, ray.direction);
+            let hit = world.closest_hit(&Ray { origin, direction, t_max: f32::INFINITY })?;
+            Some(PathReceiver { world, time: Time::Now, direction, hit })
+        })
+        .collect()
+}
+
+/// T to the same pixel is the path itself: to rounding of its directions for a fresh path, to the
+/// bit for one that was shifted before.
+#[test]
+fn a_shift_to_itself() {
+    let (mut off, mut all) = (0, 0);
+    for scene in rooms() {
+        let stage = Stage::new(scene).unwrap();
+        let world = stage.first_world();
+        let mut random = Stream::from_key(8);
+        let mut shift = PathShift::new(&AcceptAll, CONNECTS, None);
+        for (pixel, at) in receivers(world).iter().enumerate() {
+            for walk in 0..8 {
+                let seed = path_seed(12, pixel as u32, 0, walk);
+                let Some(sample) = drawn(world, at, seed, &mut random).sample else { continue };
+                all += 1;
+                let Ok(once) = shift.try_shift(&sample, at, at) else {
+                    off += 1;
+                    continue;
+                };
+                let error = (once.sample.target() / sample.target() - 1.0).abs();
+                off += u32::from(error > 1e-3 || (once.jacobian - 1.0).abs() > 1e-3);
+                let again = shift.try_shift(&once.sample, at, at).unwrap();
+                assert_eq!(again.sample, once.sample);
+                assert_eq!(again.jacobian, 1.0);
+            }
+        }
+    }
+    assert!(all > 5000 && f64::from(off) < 0.01 * f64::from(all), "{off} of {all} differ");
+}
+
+/// T and its inverse: where one is defined so is the other, the Jacobians multiply to 1, the path
+/// is the path again, and its stratum stays. Every kind of anchor, of ending, and of failure that
+/// stills scenes know is met.
+#[test]
+fn round_trips() {
+    let mut met = [0_u32; 6];
+    let mut failures = [0; Failure::COUNT];
+    let (mut defined, mut lost, mut worst) = (0, 0, 0.0_f32);
+    for scene in rooms() {
+        let stage = Stage::new(scene).unwrap();
+        let world = stage.first_world();
+        let mut random = Stream::from_key(9);
+        let mut shift = PathShift::new(&AcceptAll, CONNECTS, None);
+        let all = receivers(world);
+        for (pixel, from) in all.iter().enumerate() {
+            for walk in 0..24 {
+                let seed = path_seed(13, pixel as u32, 0, walk);
+                let Some(sample) = drawn(world, from, seed, &mut random).sample else { continue };
+                // Its own directions first, so that rounding is no part of what follows.
+                let Ok(own) = shift.try_shift(&sample, from, from) else { continue };
+                let step = [1, 2, 24, 25, 70][walk as usize % 5];
+                let to = &all[(pixel + step) % all.len()];
+                let Some(there) = shift.shift(&own.sample, from, to) else { continue };
+                defined += 1;
+                assert_eq!(shift.stratum(&there.sample), shift.stratum(&sample));
+                assert_eq!(there.integrand, there.sample.integrand);
+                let Some(back) = shift.shift(&there.sample, to, from) else {
+                    lost += 1;
+                    continue;
+                };
+                let product = (back.jacobian * there.jacobian - 1.0).abs();
+                worst = worst.max(product);
+                assert!(product < 1e-4, "{product}: {own:?} {there:?} {back:?}");
+                let error = (back.integrand - own.integrand).abs().max_element();
+                assert!(error <= 1e-5 * own.integrand.max_element(), "{own:?} {back:?}");
+                let kind = match (sample.ending, sample.reconnection) {
+                    (_, None) => 0,
+                    (_, Some(kept)) if kept.vertex < sample.last => 1,
+                    (Ending::Light { .. }, Some(kept)) if kept.vertex == sample.last => 2,
+                    (_, Some(kept)) if kept.vertex == sample.last => 3,
+                    (Ending::Light { .. }, _) => 4,
+                    _ => 5,
+                };
+                met[kind] += 1;
+            }
+        }
+        (0..Failure::COUNT).for_each(|at| failures[at] += shift.failures[at]);
+    }
+    println!(
+        "{defined} defined, {lost} lost, worst {worst:e}, kinds {met:?}, failures {failures:?}"
+    );
+    assert_eq!(lost, 0);
+    assert!(met.iter().all(|count| *count > 10), "{met:?}");
+    let still = [Failure::Replay, Failure::Earlier, Failure::Length, Failure::Lobe, Failure::Near];
+    let more = [Failure::Back, Failure::Occluded];
+    for reason in still.into_iter().chain(more) {
+        assert!(failures[reason as usize] > 0, "{reason:?}: {failures:?}");
+    }
+}
+
+/// A shift map with a planted bug.
+struct Bugged<'a>(PathShift<'a, AcceptAll>, fn(&mut Shifted<PathSample, Vec3>));
+
+impl<'a> ShiftMap for Bugged<'a> {
+    type Sample = PathSample;
+    type Domain = PathReceiver<'a>;
+    type Integrand = Vec3;
+    type Stratum = ();
+
+    fn shift(
+        &mut self,
+        sample: &PathSample,
+        from: &PathReceiver<'a>,
+        to: &PathReceiver<'a>,
+    ) -> Option<Shifted<PathSample, Vec3>> {
+        let mut shifted = self.0.shift(sample, from, to)?;
+        (self.1)(&mut shifted);
+        Some(shifted)
+    }
+
+    fn stratum(&self, _: &PathSample) {}
+}
+
+/// Mean luminance of all pixels that merge the paths of another one into their own, minus what the
+/// path tracer shows of their own: its t statistic over seeds.
+fn merged_against_traced(bug: fn(&mut Shifted<PathSample, Vec3>), family: Family) -> (f64, f64) {
+    let stage = Stage::new(rooms()[0].clone()).unwrap();
+    let world = stage.first_world();
+    let all = receivers(world);
+    let mut shift = Bugged(PathShift::new(&AcceptAll, CONNECTS, None), bug);
+    let mut random = Stream::from_key(10);
+    let (mut differences, mut means) = (Moments::default(), Moments::default());
+    for run in 0..2400 {
+        let (mut difference, mut mean) = (0.0, 0.0);
+        for at in (0..all.len()).step_by(7) {
+            let draw = |pixel: usize, random: &mut Stream| {
+                let seed = path_seed(run, pixel as u32, 0, 0);
+                drawn(world, &all[pixel], seed, random)
+            };
+            let there = (at + 1) % all.len();
+            let (own, other) = (draw(at, &mut random), draw(there, &mut random));
+            let input = |finished: Finished<PathSample, PrimarySample>, domain| {
+                let target = finished.sample.map_or(0.0, |sample| sample.target());
+                Input { finished, target, domain }
+            };
+            let canonical = input(own, &all[at]);
+            let others = [input(other, &all[there])];
+            let mut reservoir = Plain::default();
+            let merged = merge(
+                &mut shift,
+                family,
+                &canonical,
+                others.as_slice(),
+                &mut reservoir,
+                &mut random,
+                |_| (),
+            );
+            let shown = f64::from(merged.target * merged.finished.weight.get());
+            let traced = f64::from(canonical.target * own.weight.get());
+            difference += shown - traced;
+            mean += traced;
+        }
+        differences.push(difference);
+        means.push(mean);
+    }
+    let test = t_test(&differences, 0.0);
+    (test.statistic, test.difference / means.mean())
+}
+
+/// Merges with paths of a neighbour show what the pixel's own paths show in the mean, by any
+/// family; without |∂T|, or with the density of one end only, they do not.
+#[test]
+fn merges_of_paths_are_unbiased() {
+    for family in [Family::Balance, Family::DefensivePairwise] {
+        let (t, bias) = merged_against_traced(|_| (), family);
+        println!("{family:?}: t {t:.2}, bias {:.3} %", 100.0 * bias);
+        assert!(t.abs() < 4.5, "{family:?}: t {t}, bias {bias}");
+    }
+    let (t, bias) = merged_against_traced(|shifted| shifted.jacobian = 1.0, Family::Balance);
+    println!("without the Jacobian: t {t:.2}, bias {:.3} %", 100.0 * bias);
+    assert!(t.abs() > 6.0, "the control must fail: t {t}, bias {bias}");
 }

@@ -19,11 +19,14 @@
 //! our v₀.
 
 mod record;
+mod shift;
+mod trail;
 mod tree;
 
 use glam::Vec3;
 
 pub use record::PathRecord;
+pub use shift::{Failure, PathReceiver, PathShift};
 pub use tree::Tree;
 
 use crate::accel::Hit;
@@ -43,8 +46,11 @@ pub enum Ending {
     },
     /// At an emitter that the last vertex's direction met.
     Emitter,
-    /// In a sky.
-    Sky,
+    /// In the sky that is light number `light`.
+    Sky {
+        /// In the light table.
+        light: u32,
+    },
 }
 
 /// What a shift keeps at x_r.

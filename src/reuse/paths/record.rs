@@ -24,7 +24,7 @@ use crate::resampling::{ContributionWeight, Finished, PrimarySample};
 /// | 14–16 | radiance |
 /// | 17 | density |
 /// | 18 | light density |
-/// | 19 | free |
+/// | 19 | the sky that the path ends in |
 ///
 /// All zeros is an empty record without confidence.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
@@ -53,8 +53,11 @@ impl PathRecord {
         words[7] = match sample.ending {
             Ending::Light { delta } => u32::from(delta) << 2,
             Ending::Emitter => 1,
-            Ending::Sky => 2,
+            Ending::Sky { .. } => 2,
         };
+        if let Ending::Sky { light } = sample.ending {
+            words[19] = light;
+        }
         let Some(reconnection) = &sample.reconnection else { return Self(words) };
         words[6] |= u32::from(reconnection.vertex) << 8;
         let lobes = reconnection.lobes.map(u32::from);
@@ -95,7 +98,7 @@ impl PathRecord {
         let ending = match bits(words[7], 0, 2) {
             0 => Ending::Light { delta: bits(words[7], 2, 1) != 0 },
             1 => Ending::Emitter,
-            _ => Ending::Sky,
+            _ => Ending::Sky { light: words[19] },
         };
         let vertex = bits(words[6], 8, 8) as u8;
         let anchor = match bits(words[7], 3, 2) {
@@ -180,7 +183,7 @@ mod tests {
                 Ending::Light { delta: false },
                 Ending::Light { delta: true },
                 Ending::Emitter,
-                Ending::Sky,
+                Ending::Sky { light: 77 },
             ];
             let mut float = || f32::from_bits(random.word() & 0x7FFF_FFFF);
             let mut finite = || loop {

@@ -3,24 +3,16 @@
 
 use glam::Vec3;
 
+use super::shift::light_end;
+use super::trail::Trail;
 use super::{Anchor, Connects, Ending, NO_LOBE, PathSample, Reconnection};
 use crate::accel::{Hit, HitPoint};
-use crate::light::Lights;
 use crate::math::luminance;
 use crate::math::rng::RandomSource;
 use crate::path::{Ending as Found, LightSample, Vertex, Visitor};
 use crate::resampling::{Plain, Reservoir};
 use crate::surface::bsdf::BsdfSample;
-
-/// How the walk left a vertex.
-#[derive(Clone, Copy, Debug, Default)]
-struct Left {
-    position: Vec3,
-    lobe: u8,
-    rough: bool,
-    /// p(ω, ℓ); 0 for deltas.
-    density: f32,
-}
+use crate::world::World;
 
 /// A connectable pair's second vertex, and what came after it.
 #[derive(Clone, Copy, Debug)]
@@ -34,17 +26,6 @@ struct Open {
     suffix: Vec3,
 }
 
-/// How the walk arrived at a vertex.
-#[derive(Clone, Copy, Debug)]
-struct Arrived {
-    hit: Hit,
-    /// Whether the pair with the vertex before may be connected, as far as that vertex and the
-    /// distance say.
-    reachable: bool,
-    /// g from the vertex before.
-    geometry: f32,
-}
-
 /// The [`Visitor`] that makes a path of each end: w = p̂ / q, with q the chance that roulette left
 /// the path to its end, and their weights' share of one walk among several.
 ///
@@ -52,7 +33,7 @@ struct Arrived {
 /// technique), so each counts in full: W = Σw / p̂(Y), not divided by their number.
 #[derive(Debug)]
 pub struct Tree<'a, R> {
-    lights: &'a Lights,
+    world: &'a World,
     connects: Connects,
     seed: u64,
     /// 1 over the number of walks.
@@ -64,8 +45,11 @@ pub struct Tree<'a, R> {
     /// Π f/p̄ without roulette.
     clean: Vec3,
     survival: f32,
-    left: Left,
-    arrived: Option<Arrived>,
+    trail: Trail,
+    /// The hit at the vertex that the walk is at.
+    hit: Hit,
+    /// The direction that the walk left it by.
+    direction: Vec3,
     open: Option<Open>,
 }
 
@@ -73,14 +57,14 @@ impl<'a, R: RandomSource> Tree<'a, R> {
     /// Streams the walk of `seed`, one of `walks`, into a reservoir that selects by `random`, which
     /// must not be the path's own numbers.
     pub fn new(
-        lights: &'a Lights,
+        world: &'a World,
         connects: Connects,
         (seed, walks): (u64, u32),
         reservoir: &'a mut Plain<PathSample>,
         random: &'a mut R,
     ) -> Self {
         Self {
-            lights,
+            world,
             connects,
             seed,
             share: 1.0 / walks as f32,
@@ -89,8 +73,9 @@ impl<'a, R: RandomSource> Tree<'a, R> {
             sum: Vec3::ZERO,
             clean: Vec3::ONE,
             survival: 1.0,
-            left: Left::default(),
-            arrived: None,
+            trail: Trail::default(),
+            hit: Hit { t: 0.0, u: 0.0, v: 0.0, primitive: 0, instance: 0 },
+            direction: Vec3::Z,
             open: None,
         }
     }
@@ -107,14 +92,6 @@ impl<'a, R: RandomSource> Tree<'a, R> {
         let (seed, last) = (self.seed, number as u8);
         let sample = PathSample { seed, integrand, last, ending, reconnection };
         self.reservoir.stream(sample, weight, (), self.random);
-    }
-
-    /// g from the vertex that was left last to a point, and whether that is far enough away.
-    fn reach(&self, at: &HitPoint) -> (f32, bool) {
-        let way = at.position - self.left.position;
-        let squared = way.length_squared();
-        let cosine = at.geometric_normal.dot(way).abs() / squared.sqrt();
-        (cosine / squared, squared >= self.connects.distance * self.connects.distance)
     }
 
     /// The reconnection of a path that goes on behind x_r, and ends with `light` of `density`.
@@ -139,34 +116,25 @@ impl<'a, R: RandomSource> Tree<'a, R> {
     }
 }
 
-/// A hit as an anchor.
-fn anchor(hit: &Hit) -> Anchor {
-    Anchor::Surface(Hit { t: 0.0, ..*hit })
+/// A hit without its t, which is of no use elsewhere.
+fn place(hit: &Hit) -> Hit {
+    Hit { t: 0.0, ..*hit }
 }
 
 impl<R: RandomSource> Visitor for Tree<'_, R> {
     #[inline]
     fn vertex(&mut self, number: u32, at: &Vertex, hit: &Hit, point: &HitPoint) {
-        self.arrived = (number > 0).then(|| {
-            let (geometry, far) = self.reach(point);
-            Arrived { hit: Hit { t: 0.0, ..*hit }, reachable: far && self.left.rough, geometry }
-        });
-        // What follows is about the way from here.
-        self.left.position = at.surface.position;
+        self.trail.arrive(&self.connects, number, at, point);
+        self.hit = place(hit);
     }
 
     #[inline]
     fn light(&mut self, number: u32, at: &Vertex, throughput: Vec3, sample: &LightSample) {
         let contribution = sample.contribution();
         self.sum += throughput * contribution;
-        let bsdf = &at.surface.bsdf;
         let incident = &sample.incident;
-        let rough = || {
-            let least = self.connects.roughness;
-            (0..bsdf.lobe_count()).any(|lobe| bsdf.lobe_roughness(lobe) >= least)
-        };
-        let reconnection = match (&self.open, &self.arrived) {
-            (Some(open), _) => Reconnection {
+        let reconnection = match &self.open {
+            Some(open) => Some(Reconnection {
                 vertex: open.vertex,
                 lobes: open.lobes,
                 anchor: Anchor::Surface(open.hit),
@@ -174,34 +142,36 @@ impl<R: RandomSource> Visitor for Tree<'_, R> {
                 radiance: open.suffix * contribution,
                 density: open.density,
                 light_density: 0.0,
-            },
-            (None, Some(arrived)) if arrived.reachable && rough() => Reconnection {
-                vertex: number as u8,
-                lobes: [self.left.lobe, NO_LOBE],
-                anchor: Anchor::Surface(arrived.hit),
-                direction: incident.direction,
-                radiance: incident.radiance,
-                density: self.left.density * arrived.geometry,
-                light_density: sample.density,
-            },
-            // A point on a light is kept whatever the distance and the lobes.
-            (None, _) => {
+            }),
+            None if self.trail.reachable && self.connects.any_is_rough(&at.surface.bsdf) => {
+                Some(Reconnection {
+                    vertex: number as u8,
+                    lobes: [self.trail.lobe, NO_LOBE],
+                    anchor: Anchor::Surface(self.hit),
+                    direction: incident.direction,
+                    radiance: incident.radiance,
+                    density: self.trail.density * self.trail.geometry,
+                    light_density: sample.density,
+                })
+            }
+            // A point on a light is kept whatever the distance and the lobes; nothing is where
+            // rounding moved it behind the light.
+            None => {
                 let from = at.surface.position;
-                let point = self.lights.point_towards(sample.light, from, sample.u);
-                let chance = self.lights.choice_probability(sample.light);
-                Reconnection {
+                let point = self.world.lights.point_towards(sample.light, from, sample.u);
+                light_end(self.world, from, point).map(|end| Reconnection {
                     vertex: number as u8 + 1,
                     lobes: [NO_LOBE; 2],
                     anchor: Anchor::Point(point),
                     direction: incident.direction,
                     radiance: incident.radiance,
-                    density: chance * incident.pdf,
+                    density: end.density,
                     light_density: 0.0,
-                }
+                })
             }
         };
         let ending = Ending::Light { delta: incident.delta };
-        self.stream(number, contribution, ending, Some(reconnection));
+        self.stream(number, contribution, ending, reconnection);
     }
 
     #[inline]
@@ -209,7 +179,7 @@ impl<R: RandomSource> Visitor for Tree<'_, R> {
         let bsdf = &at.surface.bsdf;
         let lobe = u32::from(sample.lobe);
         let factor = sample.value / sample.pdf;
-        let rough = !sample.delta && bsdf.lobe_roughness(lobe) >= self.connects.roughness;
+        let rough = !sample.delta && self.connects.is_rough(bsdf, lobe);
         // Only a pair that may be connected asks for the density.
         let density = if rough && self.open.is_none() {
             bsdf.evaluate_lobe(lobe, at.outgoing, sample.wi).pdf
@@ -219,19 +189,20 @@ impl<R: RandomSource> Visitor for Tree<'_, R> {
         self.clean *= factor;
         match &mut self.open {
             Some(open) => open.suffix *= factor,
-            None => {
-                self.open =
-                    self.arrived.filter(|arrived| arrived.reachable && rough).map(|arrived| Open {
-                        vertex: number as u8,
-                        lobes: [self.left.lobe, sample.lobe],
-                        hit: arrived.hit,
-                        direction,
-                        density: self.left.density * arrived.geometry * density,
-                        suffix: Vec3::ONE,
-                    });
+            None if self.trail.reachable && rough => {
+                self.open = Some(Open {
+                    vertex: number as u8,
+                    lobes: [self.trail.lobe, sample.lobe],
+                    hit: self.hit,
+                    direction,
+                    density: self.trail.density * self.trail.geometry * density,
+                    suffix: Vec3::ONE,
+                });
             }
+            None => {}
         }
-        self.left = Left { lobe: sample.lobe, rough, density, ..self.left };
+        self.trail.leave(sample.lobe, rough, density);
+        self.direction = direction;
     }
 
     #[inline]
@@ -245,14 +216,14 @@ impl<R: RandomSource> Visitor for Tree<'_, R> {
         let reconnection = match &self.open {
             Some(open) => Some(self.behind(number, open, end.emission, end.share, end.density)),
             None => {
-                let (geometry, far) = self.reach(at);
-                (far && self.left.rough).then(|| Reconnection {
+                let (geometry, far) = self.trail.reach(&self.connects, at);
+                (far && self.trail.rough).then(|| Reconnection {
                     vertex: number as u8 + 1,
-                    lobes: [self.left.lobe, NO_LOBE],
-                    anchor: anchor(hit),
-                    direction: (at.position - self.left.position).normalize(),
+                    lobes: [self.trail.lobe, NO_LOBE],
+                    anchor: Anchor::Surface(place(hit)),
+                    direction: self.direction,
                     radiance: end.emission,
-                    density: self.left.density * geometry,
+                    density: self.trail.density * geometry,
                     light_density: 0.0,
                 })
             }
@@ -265,16 +236,17 @@ impl<R: RandomSource> Visitor for Tree<'_, R> {
         self.sum += throughput * end.emission * end.share;
         let reconnection = match &self.open {
             Some(open) => Some(self.behind(number, open, end.emission, end.share, end.density)),
-            None => self.left.rough.then(|| Reconnection {
+            None => self.trail.rough.then(|| Reconnection {
                 vertex: number as u8 + 1,
-                lobes: [self.left.lobe, NO_LOBE],
+                lobes: [self.trail.lobe, NO_LOBE],
                 anchor: Anchor::Sky { light: end.light },
                 direction,
                 radiance: end.emission,
-                density: self.left.density,
+                density: self.trail.density,
                 light_density: 0.0,
             }),
         };
-        self.stream(number, end.emission * end.share, Ending::Sky, reconnection);
+        let ending = Ending::Sky { light: end.light };
+        self.stream(number, end.emission * end.share, ending, reconnection);
     }
 }

@@ -1,0 +1,571 @@
+//! The shift of paths: replay the numbers up to the vertex before x_r, connect to it, and keep the
+//! rest (hybrid shift; Lin et al. 2022, section 7).
+
+use glam::Vec3;
+
+use super::trail::Trail;
+use super::{Anchor, Connects, Ending, PathSample, Reconnection};
+use crate::accel::{AcceptAll, Hit, HitFilter, HitPoint};
+use crate::counters::Counters;
+use crate::light::{Arrival, LightPoint, NO_LIGHT};
+use crate::math::offset_origin;
+use crate::path::{Steps, Vertex, power_heuristic, sampled, shadow_ray};
+use crate::resampling::{ShiftMap, Shifted};
+use crate::reuse::light_points::Time;
+use crate::surface::bsdf::Evaluation;
+use crate::world::{Motion, World};
+
+/// A primary hit as a domain of paths.
+#[derive(Clone, Copy, Debug)]
+pub struct PathReceiver<'a> {
+    /// Its world.
+    pub world: &'a World,
+    /// Its frame.
+    pub time: Time,
+    /// The primary ray's unit direction.
+    pub direction: Vec3,
+    /// The primary hit.
+    pub hit: Hit,
+}
+
+/// Why a shift is undefined.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(usize)]
+pub enum Failure {
+    /// The replayed numbers scatter nothing, or at a black surface.
+    Replay,
+    /// A pair before x_r may be connected here.
+    Earlier,
+    /// The replayed path leaves the scene, or ends where the other went on.
+    Length,
+    /// The lobe that is to be connected by does not scatter there, or is not rough here.
+    Lobe,
+    /// The pair is too near here.
+    Near,
+    /// Nothing is scattered or sent towards here: the back of a surface.
+    Back,
+    /// Something stands between.
+    Occluded,
+    /// The light is not there.
+    LightGone,
+    /// The object is not there.
+    ObjectGone,
+    /// A product left f32.
+    NotFinite,
+}
+
+impl Failure {
+    /// How many there are.
+    pub const COUNT: usize = 10;
+}
+
+/// The shift between the receivers of one frame, and of it and the previous one.
+///
+/// \|∂T\| is the ratio of the [densities](Reconnection::density) of both paths: what the numbers of
+/// x_r's two directions are worth in the measure of x_r, the same measure for both.
+#[derive(Debug)]
+pub struct PathShift<'a, F> {
+    /// Which hits count now; the previous frame's world brings its own.
+    pub filter: &'a F,
+    /// Which pairs may be connected.
+    pub connects: Connects,
+    /// What leads from the previous frame to this one; `None` where shifts stay in one frame.
+    pub motion: Option<&'a Motion>,
+    /// Work done.
+    pub counters: Counters,
+    /// Shifts that were undefined, by reason.
+    pub failures: [u64; Failure::COUNT],
+}
+
+/// A path that is replayed, at a vertex.
+struct Replay {
+    vertex: Vertex,
+    number: u32,
+    trail: Trail,
+    /// Π f/p̄ so far.
+    throughput: Vec3,
+}
+
+/// What a connection gives.
+struct Connected {
+    integrand: Vec3,
+    reconnection: Option<Reconnection>,
+    jacobian: f32,
+}
+
+impl<'a, F: HitFilter> PathShift<'a, F> {
+    /// A map between receivers of one frame and, with `motion`, of the previous one.
+    #[must_use]
+    pub fn new(filter: &'a F, connects: Connects, motion: Option<&'a Motion>) -> Self {
+        let counters = Counters::default();
+        Self { filter, connects, motion, counters, failures: [0; Failure::COUNT] }
+    }
+
+    /// T, or why it is undefined.
+    ///
+    /// # Errors
+    /// The first reason that was met.
+    pub fn try_shift(
+        &mut self,
+        sample: &PathSample,
+        from: &PathReceiver<'_>,
+        to: &PathReceiver<'_>,
+    ) -> Result<Shifted<PathSample, Vec3>, Failure> {
+        let world = to.world;
+        let connected = match to.time {
+            Time::Before if world.has_alpha => self.connect(sample, from, to, &world.alpha_mask()),
+            Time::Before => self.connect(sample, from, to, &AcceptAll),
+            Time::Now => {
+                let filter = self.filter;
+                self.connect(sample, from, to, filter)
+            }
+        }?;
+        let Connected { integrand, reconnection, jacobian } = connected;
+        let finite = integrand.is_finite() && jacobian.is_finite() && jacobian > 0.0;
+        let sample = PathSample { integrand, reconnection, ..*sample };
+        // p̂ may overflow or vanish where no channel does.
+        if !finite || !sample.target().is_finite() {
+            return Err(Failure::NotFinite);
+        }
+        if sample.target() <= 0.0 {
+            return Err(Failure::Back);
+        }
+        Ok(Shifted { sample, integrand, jacobian })
+    }
+
+    fn connect<G: HitFilter>(
+        &mut self,
+        sample: &PathSample,
+        from: &PathReceiver<'_>,
+        to: &PathReceiver<'_>,
+        filter: &G,
+    ) -> Result<Connected, Failure> {
+        let steps = Steps::<{ sampled::ONE }, G> { world: to.world, filter };
+        let (Some(kept), last) = (&sample.reconnection, u32::from(sample.last)) else {
+            return self.replay_to_the_end(&steps, sample, to);
+        };
+        let replay = self.replay(&steps, sample.seed, to, u32::from(kept.vertex) - 1)?;
+        match kept.anchor {
+            Anchor::Point(point) => {
+                let point = self.point_there(point, from, to)?;
+                self.to_light_point(&steps, &replay, kept, point)
+            }
+            Anchor::Sky { light } => {
+                let light = self.light_there(light, from, to)?;
+                self.to_sky(&steps, &replay, kept, light)
+            }
+            Anchor::Surface(hit) => {
+                let hit = self.hit_there(&hit, from, to)?;
+                if u32::from(kept.vertex) > last {
+                    self.to_emitter(&steps, &replay, kept, &hit)
+                } else {
+                    self.to_surface(&steps, &replay, sample, kept, &hit)
+                }
+            }
+        }
+    }
+
+    /// Replays a path to vertex number `end`. No pair on the way may be connected.
+    fn replay<G: HitFilter>(
+        &mut self,
+        steps: &Steps<'_, { sampled::ONE }, G>,
+        seed: u64,
+        to: &PathReceiver<'_>,
+        end: u32,
+    ) -> Result<Replay, Failure> {
+        let world = steps.world;
+        let point = world.accel.point(&to.hit);
+        let vertex = Vertex::new(world, &to.hit, &point, to.direction).ok_or(Failure::Replay)?;
+        let mut replay =
+            Replay { vertex, number: 0, trail: Trail::default(), throughput: Vec3::ONE };
+        replay.trail.arrive(&self.connects, 0, &replay.vertex, &point);
+        while replay.number < end {
+            let (direction, _) = self.scatter(steps, seed, &mut replay)?;
+            let hit = steps.onward(&replay.vertex, direction, &mut self.counters);
+            let hit = hit.ok_or(Failure::Length)?;
+            let point = world.accel.point(&hit);
+            replay.number += 1;
+            replay.vertex = Vertex::new(world, &hit, &point, direction).ok_or(Failure::Replay)?;
+            replay.trail.arrive(&self.connects, replay.number, &replay.vertex, &point);
+        }
+        Ok(replay)
+    }
+
+    /// Scatters at the vertex of a replay by its own numbers. Fails where that connects its pair.
+    #[inline]
+    fn scatter<G: HitFilter>(
+        &self,
+        steps: &Steps<'_, { sampled::ONE }, G>,
+        seed: u64,
+        replay: &mut Replay,
+    ) -> Result<(Vec3, crate::surface::bsdf::BsdfSample), Failure> {
+        let Replay { vertex, number, trail, throughput } = replay;
+        let scattered = steps.scatter(vertex, (seed, *number)).ok_or(Failure::Replay)?;
+        let rough = self.connects.is_rough(&vertex.surface.bsdf, scattered.lobe.into());
+        if trail.reachable && rough {
+            return Err(Failure::Earlier);
+        }
+        trail.leave(scattered.lobe, rough, 0.0);
+        *throughput *= scattered.value / scattered.pdf;
+        if *throughput == Vec3::ZERO {
+            return Err(Failure::Replay);
+        }
+        Ok((vertex.surface.frame.to_world(scattered.wi).normalize(), scattered))
+    }
+
+    /// The whole path by its numbers: as long, with an end of the same kind, and never connected.
+    fn replay_to_the_end<G: HitFilter>(
+        &mut self,
+        steps: &Steps<'_, { sampled::ONE }, G>,
+        sample: &PathSample,
+        to: &PathReceiver<'_>,
+    ) -> Result<Connected, Failure> {
+        let mut replay = self.replay(steps, sample.seed, to, u32::from(sample.last))?;
+        let (direction, scattered) = self.scatter(steps, sample.seed, &mut replay)?;
+        let hit = steps.onward(&replay.vertex, direction, &mut self.counters);
+        let (emission, share) = match (sample.ending, hit) {
+            (Ending::Emitter, Some(hit)) => {
+                let world = steps.world;
+                let (shape, element) = world.accel.shape_of(&hit);
+                let light = world.lights.of_surface(shape, element);
+                if light == NO_LIGHT {
+                    return Err(Failure::Length);
+                }
+                let point = world.accel.point(&hit);
+                let (_, far) = replay.trail.reach(&self.connects, &point);
+                if far && replay.trail.rough {
+                    return Err(Failure::Earlier);
+                }
+                let end = steps.ending(&replay.vertex, &scattered, direction, light, &point);
+                let end = end.ok_or(Failure::Back)?;
+                (end.emission, end.share)
+            }
+            (Ending::Sky { light }, None) => {
+                if replay.trail.rough {
+                    return Err(Failure::Earlier);
+                }
+                let end = steps.skies(&scattered, direction).find(|end| end.light == light);
+                let end = end.ok_or(Failure::LightGone)?;
+                (end.emission, end.share)
+            }
+            _ => return Err(Failure::Length),
+        };
+        let integrand = replay.throughput * emission * share;
+        Ok(Connected { integrand, reconnection: None, jacobian: 1.0 })
+    }
+
+    /// All lobes at the vertex before x_r towards `direction`, and the joint density of ℓ_{r−1}.
+    /// Fails where that lobe would connect an earlier pair, or not this one.
+    #[inline]
+    fn leave(
+        &self,
+        replay: &Replay,
+        lobe: u8,
+        direction: Vec3,
+    ) -> Result<(Evaluation, f32), Failure> {
+        let Vertex { surface, outgoing } = &replay.vertex;
+        let lobe = u32::from(lobe);
+        let bsdf = &surface.bsdf;
+        if lobe >= bsdf.lobe_count() || bsdf.is_delta(lobe) || !self.connects.is_rough(bsdf, lobe) {
+            return Err(Failure::Lobe);
+        }
+        if replay.trail.reachable {
+            return Err(Failure::Earlier);
+        }
+        let wi = surface.frame.to_local(direction);
+        let (total, joint) = bsdf.evaluate_with_lobe(lobe, *outgoing, wi);
+        if joint <= 0.0 || total.value == Vec3::ZERO {
+            return Err(Failure::Lobe);
+        }
+        Ok((total, joint))
+    }
+
+    /// The direction to a point, g there, and whether it is far enough.
+    #[inline]
+    fn way(&self, replay: &Replay, point: &HitPoint) -> Result<(Vec3, f32), Failure> {
+        let (geometry, far) = replay.trail.reach(&self.connects, point);
+        if !far {
+            return Err(Failure::Near);
+        }
+        let way = point.position - replay.vertex.surface.position;
+        Ok((way / way.length(), geometry))
+    }
+
+    /// Fails where something stands between the vertex before x_r and a point: one ray, off both
+    /// surfaces.
+    #[inline]
+    fn look<G: HitFilter>(
+        &mut self,
+        steps: &Steps<'_, { sampled::ONE }, G>,
+        replay: &Replay,
+        direction: Vec3,
+        end: Option<Vec3>,
+    ) -> Result<(), Failure> {
+        self.counters.shadow_rays += 1;
+        let ray = shadow_ray(&replay.vertex.surface, direction, end);
+        if steps.world.accel.occluded(&ray, steps.filter) {
+            return Err(Failure::Occluded);
+        }
+        Ok(())
+    }
+
+    /// x_r is a vertex that scatters.
+    fn to_surface<G: HitFilter>(
+        &mut self,
+        steps: &Steps<'_, { sampled::ONE }, G>,
+        replay: &Replay,
+        sample: &PathSample,
+        kept: &Reconnection,
+        hit: &Hit,
+    ) -> Result<Connected, Failure> {
+        let world = steps.world;
+        let point = world.accel.point(hit);
+        let (direction, geometry) = self.way(replay, &point)?;
+        let (total, joint) = self.leave(replay, kept.lobes[0], direction)?;
+        let vertex = Vertex::new(world, hit, &point, direction).ok_or(Failure::Back)?;
+        let bsdf = &vertex.surface.bsdf;
+        let wi = vertex.surface.frame.to_local(kept.direction);
+        let at_last = kept.vertex == sample.last;
+        let (behind, density) = match sample.ending {
+            Ending::Light { delta } if at_last => {
+                let there = bsdf.evaluate(vertex.outgoing, wi);
+                let share =
+                    if delta { 1.0 } else { power_heuristic(kept.light_density, there.pdf) };
+                (there.value * kept.radiance * (share / kept.light_density), 1.0)
+            }
+            _ => {
+                let lobe = u32::from(kept.lobes[1]);
+                let (there, joint) = bsdf.evaluate_with_lobe(lobe, vertex.outgoing, wi);
+                if joint <= 0.0 {
+                    return Err(Failure::Back);
+                }
+                let share =
+                    if at_last { power_heuristic(there.pdf, kept.light_density) } else { 1.0 };
+                (there.value / there.pdf * kept.radiance * share, joint)
+            }
+        };
+        if behind == Vec3::ZERO {
+            return Err(Failure::Back);
+        }
+        let normal = point.geometric_normal;
+        let side = 1.0_f32.copysign(-direction.dot(normal));
+        let end = offset_origin(point.position, normal * side, point.error);
+        self.look(steps, replay, direction, Some(end))?;
+        let density = joint * geometry * density;
+        let reconnection = Reconnection { density, anchor: Anchor::Surface(*hit), ..*kept };
+        Ok(Connected {
+            integrand: replay.throughput * (total.value / total.pdf) * behind,
+            reconnection: Some(reconnection),
+            jacobian: density / kept.density,
+        })
+    }
+
+    /// x_r is the emitter that the last direction met.
+    fn to_emitter<G: HitFilter>(
+        &mut self,
+        steps: &Steps<'_, { sampled::ONE }, G>,
+        replay: &Replay,
+        kept: &Reconnection,
+        hit: &Hit,
+    ) -> Result<Connected, Failure> {
+        let world = steps.world;
+        let point = world.accel.point(hit);
+        let light = world.lights.of_surface(point.shape, point.element);
+        if light == NO_LIGHT {
+            return Err(Failure::LightGone);
+        }
+        let (direction, geometry) = self.way(replay, &point)?;
+        let (total, joint) = self.leave(replay, kept.lobes[0], direction)?;
+        let cosine = -direction.dot(point.geometric_normal);
+        let emission = world.lights.emitted(&world.scene, light, point.uv, cosine);
+        if emission == Vec3::ZERO {
+            return Err(Failure::Back);
+        }
+        let from = replay.vertex.surface.position;
+        let pdf = world.lights.pdf_towards(light, from, point.position, cosine);
+        let share = power_heuristic(total.pdf, world.lights.choice_probability(light) * pdf);
+        let normal = point.geometric_normal;
+        let side = 1.0_f32.copysign(cosine);
+        let end = offset_origin(point.position, normal * side, point.error);
+        self.look(steps, replay, direction, Some(end))?;
+        let density = joint * geometry;
+        let anchor = Anchor::Surface(*hit);
+        Ok(Connected {
+            integrand: replay.throughput * (total.value / total.pdf) * emission * share,
+            reconnection: Some(Reconnection {
+                density,
+                anchor,
+                direction,
+                radiance: emission,
+                ..*kept
+            }),
+            jacobian: density / kept.density,
+        })
+    }
+
+    /// x_r is a direction of a sky.
+    fn to_sky<G: HitFilter>(
+        &mut self,
+        steps: &Steps<'_, { sampled::ONE }, G>,
+        replay: &Replay,
+        kept: &Reconnection,
+        light: u32,
+    ) -> Result<Connected, Failure> {
+        let lights = &steps.world.lights;
+        let direction = kept.direction;
+        let (total, joint) = self.leave(replay, kept.lobes[0], direction)?;
+        let (_, sky) =
+            lights.environments().find(|(sky, _)| *sky == light).ok_or(Failure::LightGone)?;
+        let emission = sky.radiance(direction);
+        let pdf = lights.choice_probability(light) * sky.pdf(direction);
+        let share = power_heuristic(total.pdf, pdf);
+        self.look(steps, replay, direction, None)?;
+        let anchor = Anchor::Sky { light };
+        Ok(Connected {
+            integrand: replay.throughput * (total.value / total.pdf) * emission * share,
+            reconnection: Some(Reconnection {
+                density: joint,
+                anchor,
+                radiance: emission,
+                ..*kept
+            }),
+            jacobian: joint / kept.density,
+        })
+    }
+
+    /// x_r is a point on a light that v_n sampled.
+    fn to_light_point<G: HitFilter>(
+        &mut self,
+        steps: &Steps<'_, { sampled::ONE }, G>,
+        replay: &Replay,
+        kept: &Reconnection,
+        point: LightPoint,
+    ) -> Result<Connected, Failure> {
+        let Vertex { surface, outgoing } = &replay.vertex;
+        if replay.trail.reachable && self.connects.any_is_rough(&surface.bsdf) {
+            return Err(Failure::Earlier);
+        }
+        let world = steps.world;
+        let emitter = world.lights.emitter(&world.scene, point).ok_or(Failure::LightGone)?;
+        let LightEnd { arrival, density } =
+            light_end(world, surface.position, point).ok_or(Failure::Back)?;
+        let scattered = surface.bsdf.evaluate(*outgoing, surface.frame.to_local(arrival.direction));
+        if scattered.value == Vec3::ZERO {
+            return Err(Failure::Back);
+        }
+        let share = if arrival.geometry == 0.0 {
+            1.0
+        } else {
+            power_heuristic(density / arrival.geometry, scattered.pdf)
+        };
+        let end = world.lights.shadow_end(&emitter, surface.position);
+        self.look(steps, replay, arrival.direction, end)?;
+        let reconnection = Reconnection {
+            density,
+            anchor: Anchor::Point(point),
+            direction: arrival.direction,
+            radiance: arrival.radiance,
+            ..*kept
+        };
+        Ok(Connected {
+            integrand: replay.throughput * scattered.value * arrival.radiance * (share / density),
+            reconnection: Some(reconnection),
+            jacobian: density / kept.density,
+        })
+    }
+
+    /// A light's place in the destination's table.
+    fn light_there(
+        &self,
+        light: u32,
+        from: &PathReceiver<'_>,
+        to: &PathReceiver<'_>,
+    ) -> Result<u32, Failure> {
+        if from.time == to.time {
+            return Ok(light);
+        }
+        let remap = self.motion.and_then(|motion| motion.lights.as_ref());
+        let there = match (remap, to.time) {
+            (None, _) => Some(light),
+            (Some(remap), Time::Now) => remap.to_current(light),
+            (Some(remap), Time::Before) => remap.to_previous(light),
+        };
+        there
+            .filter(|there| to.world.lights.same_kind(*there, &from.world.lights, light))
+            .ok_or(Failure::LightGone)
+    }
+
+    /// A light point on the destination's light.
+    fn point_there(
+        &self,
+        point: LightPoint,
+        from: &PathReceiver<'_>,
+        to: &PathReceiver<'_>,
+    ) -> Result<LightPoint, Failure> {
+        Ok(LightPoint { light: self.light_there(point.light, from, to)?, ..point })
+    }
+
+    /// A hit on the destination's instance.
+    fn hit_there(
+        &self,
+        hit: &Hit,
+        from: &PathReceiver<'_>,
+        to: &PathReceiver<'_>,
+    ) -> Result<Hit, Failure> {
+        let place = match (self.motion, to.time) {
+            _ if from.time == to.time => Some(hit.instance),
+            (None, _) => Some(hit.instance),
+            (Some(motion), Time::Now) => motion.current_instance(hit.instance),
+            (Some(motion), Time::Before) => motion.previous_instance(hit.instance),
+        };
+        place.map(|instance| Hit { instance, ..*hit }).ok_or(Failure::ObjectGone)
+    }
+}
+
+/// A light point as a vertex samples it.
+pub(super) struct LightEnd {
+    /// What arrives; its geometry is 0 for lights that no direction meets.
+    arrival: Arrival,
+    /// Density of light sampling at the vertex, choice included, in the light's measure.
+    pub(super) density: f32,
+}
+
+/// The light point as a vertex at `from` samples it; `None` where nothing arrives.
+#[inline]
+pub(super) fn light_end(world: &World, from: Vec3, point: LightPoint) -> Option<LightEnd> {
+    let lights = &world.lights;
+    let arrival = lights.emitter(&world.scene, point)?.towards(lights, from)?;
+    let density = lights.density_towards(point, from, arrival.geometry);
+    (density > 0.0).then_some(LightEnd { arrival, density })
+}
+
+impl<'a, F: HitFilter> ShiftMap for PathShift<'a, F> {
+    type Sample = PathSample;
+    type Domain = PathReceiver<'a>;
+    type Integrand = Vec3;
+    /// n, kind of end, r and the lobes around x_r.
+    type Stratum = (u8, std::mem::Discriminant<Ending>, Option<(u8, [u8; 2])>);
+
+    fn shift(
+        &mut self,
+        sample: &PathSample,
+        from: &PathReceiver<'a>,
+        to: &PathReceiver<'a>,
+    ) -> Option<Shifted<PathSample, Vec3>> {
+        self.counters.shifts += 1;
+        match self.try_shift(sample, from, to) {
+            Ok(shifted) => Some(shifted),
+            Err(failure) => {
+                self.counters.shifts_failed += 1;
+                self.failures[failure as usize] += 1;
+                None
+            }
+        }
+    }
+
+    fn stratum(&self, sample: &PathSample) -> Self::Stratum {
+        let kept = sample.reconnection.as_ref();
+        let connection = kept.map(|kept| (kept.vertex, kept.lobes));
+        (sample.last, std::mem::discriminant(&sample.ending), connection)
+    }
+}
