@@ -6,7 +6,7 @@ use crate::accel::BuildOptions;
 use crate::error::Result;
 use crate::plan::SceneFacts;
 use crate::scene::Scene;
-use crate::world::World;
+use crate::world::{World, bounds};
 
 /// A scene ready for any number of runs: its facts and its first frame's world, built once.
 #[derive(Clone, Debug)]
@@ -53,7 +53,9 @@ impl Stage {
         let moving = scene.instances.iter().any(|instance| instance.to_world.moves());
         let two_level = options.two_level.or(moving.then_some(true));
         let first = World::new(scene.at(scene.time[0]), &BuildOptions { two_level, ..*options })?;
-        let facts = SceneFacts::new(&scene, first.lights.counts());
+        let [low, high] = bounds(&first.scene);
+        let diagonal = (high - low).length();
+        let facts = SceneFacts { diagonal, ..SceneFacts::new(&scene, first.lights.counts()) };
         Ok(Self { scene: Arc::new(scene), facts, first: Arc::new(first) })
     }
 

@@ -32,6 +32,9 @@ pub struct SceneFacts {
     pub primitives: u64,
     /// Path segments that the file asks for.
     pub depth: u32,
+    /// Diagonal of the bounds of all shapes in the first frame, in scene units; 0 of facts that no
+    /// [`Stage`](crate::frame::Stage) made.
+    pub diagonal: f32,
 }
 
 impl SceneFacts {
@@ -51,6 +54,7 @@ impl SceneFacts {
             moving_geometry: false,
             primitives: 0,
             depth: scene.depth,
+            diagonal: 0.0,
         };
         let grey =
             |rgb: glam::Vec3| (rgb - luminance(rgb)).abs().max_element() <= 1e-6 * luminance(rgb);

@@ -165,11 +165,13 @@ pub(crate) mod kernel {
     pub(crate) const SPATIAL: u32 = 16;
 }
 
-/// What the initial pass of a domain may take.
+/// What the initial pass and the shifts of a domain may take.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Initial {
     /// Most bounce, shadow and emitter rays a chain, those of the policy not counted.
     pub(crate) rays: [u64; 3],
+    /// Most bounce rays of a shift; a shadow ray comes on top where p̂ contains visibility.
+    pub(crate) shift_bounces: u64,
 }
 
 /// The buffers of reuse in a plan.
@@ -254,7 +256,8 @@ pub(crate) fn add<R: StoredReservoir, P: Policy>(
     if settings.cap > 0 {
         let rays = if still { 0 } else { 2 * count(P::IN_TARGET) + count(P::CONTROL) };
         let pass = NewPass::pixels("temporal", kernel::TEMPORAL, in_place.clone());
-        plan.pass(NewPass { runs: Runs::WithHistory, ..pass.rays(0, rays, 0) });
+        let bounces = if still { 0 } else { 2 * chains * initial.shift_bounces };
+        plan.pass(NewPass { runs: Runs::WithHistory, ..pass.rays(bounces, rays, 0) });
         if still {
             plan.skip(
                 "motion vectors, the previous frame's surfaces and lights",
@@ -291,8 +294,9 @@ pub(crate) fn add<R: StoredReservoir, P: Policy>(
             k * u64::from(P::TRACES_TERMS || (round.last && settings.decoupled))
         };
         let rays = terms * chains + count(P::SHADES_BY_RAY && round.last);
+        let bounces = shifts(settings.mis, k) * chains * initial.shift_bounces;
         let kernel = kernel::SPATIAL + round.number;
-        plan.pass(NewPass::pixels("spatial", kernel, writes).rays(0, rays, 0));
+        plan.pass(NewPass::pixels("spatial", kernel, writes).rays(bounces, rays, 0));
     }
 }
 

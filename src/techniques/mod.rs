@@ -6,6 +6,7 @@
 
 mod path_tracer;
 mod restir_di;
+mod restir_pt;
 mod rung;
 
 use std::fmt;
@@ -13,6 +14,7 @@ use std::fmt;
 pub use crate::spec::{Parameter, Values};
 pub use path_tracer::{LightSampling, PathTracer};
 pub use restir_di::{LightTiles, RestirDi};
+pub use restir_pt::RestirPt;
 pub use rung::{Moving, Rung};
 
 use crate::counters::Counters;
@@ -107,8 +109,13 @@ impl Entry {
 }
 
 /// All techniques.
-pub const REGISTRY: &[Entry] =
-    &[path_tracer::BSDF, path_tracer::NEE, restir_di::RIS, restir_di::RESTIR_DI];
+pub const REGISTRY: &[Entry] = &[
+    path_tracer::BSDF,
+    path_tracer::NEE,
+    restir_di::RIS,
+    restir_di::RESTIR_DI,
+    restir_pt::RESTIR_PT,
+];
 
 /// The registered technique that a SPEC names.
 ///
@@ -208,7 +215,7 @@ mod tests {
     #[test]
     fn unknown_names_and_keys_list_what_exists() {
         for (spec, text) in [
-            ("ne", "no technique is called `ne`; known: nee, ris, bsdf, restir-di"),
+            ("ne", "no technique is called `ne`; known: nee, ris, bsdf, restir-di, restir-pt"),
             ("nee:rulette=3", "`nee` has no parameter `rulette`; known: roulette, lights"),
             (
                 "nee:roulette",

@@ -18,6 +18,7 @@
 //! Papers: Lin et al. (2022), *Generalized Resampled Importance Sampling*; its numbering has x₁ for
 //! our v₀.
 
+mod domain;
 mod record;
 mod shift;
 mod trail;
@@ -25,6 +26,7 @@ mod tree;
 
 use glam::Vec3;
 
+pub(crate) use domain::Paths;
 pub use record::PathRecord;
 pub use shift::{Failure, PathReceiver, PathShift};
 pub use tree::Tree;

@@ -131,6 +131,38 @@ impl PathRecord {
         Finished { sample: Some(sample), weight: ContributionWeight::new(weight), confidence }
     }
 
+    /// Its fields for people, as names and values.
+    pub(crate) fn describe(&self) -> Vec<(&'static str, String)> {
+        let confidence = ("confidence", self.confidence().to_string());
+        let Finished { sample: Some(sample), weight, .. } = self.finished() else {
+            return vec![("sample", "none".to_string()), confidence];
+        };
+        let ending = match sample.ending {
+            Ending::Light { delta: false } => "light sample",
+            Ending::Light { delta: true } => "light without a surface",
+            Ending::Emitter => "emitter",
+            Ending::Sky { .. } => "sky",
+        };
+        let mut all = vec![
+            ("seed", format!("{:016x}", sample.seed)),
+            ("segments", (u32::from(sample.last) + 2).to_string()),
+            ("ends with", ending.to_string()),
+            ("F", format!("{:?}", sample.integrand.to_array())),
+            ("W", format!("{:.3e}", weight.get())),
+            confidence,
+            ("age", self.age().to_string()),
+        ];
+        match sample.reconnection {
+            None => all.push(("reconnects", "nowhere".to_string())),
+            Some(kept) => {
+                all.push(("reconnects at vertex", kept.vertex.to_string()));
+                all.push(("by lobes", format!("{:?}", kept.lobes)));
+                all.push(("density", format!("{:.3e}", kept.density)));
+            }
+        }
+        all
+    }
+
     /// F of the sample; 0 without one.
     #[inline]
     #[must_use]

@@ -1,0 +1,45 @@
+//! How `restir-pt` is tested part by part, and the combinations of parameters that tests run
+//! through.
+
+use crate::resampling::Family;
+use crate::techniques::{Moving, Rung};
+
+/// From trees alone to all of reuse under a moving camera.
+pub(super) const RUNGS: &[Rung] = &[
+    Rung::new("initial", "cap=0,neighbours=0", Moving::Still),
+    Rung::new("roulette at once", "cap=0,neighbours=0,roulette=1", Moving::Still),
+    Rung::new("spatial, constant", "cap=0,mis=constant", Moving::Still),
+    Rung::new("spatial, inverse-count", "cap=0,mis=inverse-count", Moving::Still),
+    Rung::new("spatial, contribution", "cap=0,mis=contribution", Moving::Still),
+    Rung::new("spatial, balance", "cap=0,mis=balance", Moving::Still),
+    Rung::new("spatial, pairwise", "cap=0,mis=pairwise", Moving::Still),
+    Rung::new("spatial, defensive", "cap=0,mis=defensive", Moving::Still),
+    Rung::new("temporal", "neighbours=0", Moving::Still),
+    Rung::new("full", "", Moving::Still),
+    Rung::new("every pixel", "mature=0", Moving::Still),
+    Rung::new("decoupled", "decoupled=true,mature=0", Moving::Still),
+    Rung::new("moving camera", "", Moving::Camera),
+    Rung::new("moving light", "", Moving::Light),
+    Rung::new("moving occluder", "", Moving::Occluder),
+];
+
+/// Every family of MIS weights, every filter.
+pub(super) fn variants() -> Vec<String> {
+    let mut all: Vec<String> = Family::ALL
+        .map(Family::name)
+        .iter()
+        .map(|family| format!("mis={family},temporal-mis={family},neighbours=3,mature=0"))
+        .collect();
+    for keys in [
+        "cap=0",
+        "neighbours=0",
+        "trees=3",
+        "spatial=display,rounds=2",
+        "taps=random,mature=4",
+        "decoupled=true",
+        "boiling=0.2,max-age=60",
+    ] {
+        all.push(keys.to_string());
+    }
+    all
+}
