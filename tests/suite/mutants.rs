@@ -106,7 +106,7 @@ fn faults(
         for wanted in field("tests").lines() {
             let (binary, filter) = wanted.split_once(' ').unwrap_or((wanted, ""));
             let parts = || filter.split("::").filter(|part| !part.is_empty());
-            let last = parts().next_back().unwrap_or_default();
+            let last = parts().last().unwrap_or_default();
             if !["lib", "suite", "allocations"].contains(&binary)
                 || parts().any(|part| part != last && !names.contains(part))
                 || !names.iter().any(|name| name.starts_with(last))
