@@ -252,8 +252,9 @@ impl Environment {
     }
 }
 
-/// Solid angle of a texel in row `y`: `2π / width · (cos θ − cos θ')` between its edges, as `2 sin((θ'
-/// + θ) / 2) sin((θ' − θ) / 2)`, since the cosines agree in all digits near a pole.
+/// Solid angle of a texel in row `y`: `2π / width · (cos θ − cos θ')` between its edges, with the
+/// difference as `2 sin((θ + θ') / 2) sin((θ' − θ) / 2)`: near a pole the cosines agree in most
+/// digits.
 fn solid_angle(texels: &Texels, y: usize) -> f32 {
     let (width, height) = (texels.image.width as f32, texels.image.height as f32);
     match texels.mapping {
@@ -514,7 +515,7 @@ mod tests {
         }
     }
 
-    /// A row at a pole of a large picture: the cosines of its edges agree in all but the last digits.
+    /// A row at a pole of a large picture: the cosines of its edges agree in most digits.
     #[test]
     fn texels_at_the_poles_have_their_solid_angles() {
         let (width, height) = (2, 16_384);

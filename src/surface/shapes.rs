@@ -121,4 +121,20 @@ mod tests {
             assert!((share - coverage).abs() < 0.025, "{coverage}: {share}");
         }
     }
+
+    /// A constant coverage of 1 is none, so that no hit asks for it.
+    #[test]
+    fn a_whole_surface_has_no_mask() {
+        let mut scene = Scene::new("whole");
+        let reflectance = Color::Constant(Vec3::ZERO);
+        let black = scene.add_material(Material::Diffuse { reflectance });
+        for alpha in [None, Some(1.0), Some(0.5)] {
+            let ball = Geometry::Sphere { center: Vec3::ZERO, radius: 1.0 };
+            let mut shape = Shape::new(ball, black);
+            shape.alpha = alpha.map(Scalar::Constant);
+            scene.add_shape(shape);
+        }
+        let masks: Vec<bool> = placed_shapes(&scene).iter().map(|s| s.alpha.is_some()).collect();
+        assert_eq!(masks, [false, false, true]);
+    }
 }
