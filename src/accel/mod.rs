@@ -353,13 +353,6 @@ impl Accel {
         })
     }
 
-    /// Whether all trees of objects are the same in memory.
-    #[cfg(test)]
-    pub(crate) fn shares(&self, other: &Self) -> bool {
-        self.bottoms.len() == other.bottoms.len()
-            && self.bottoms.iter().zip(&other.bottoms).all(|(a, b)| Arc::ptr_eq(a, b))
-    }
-
     #[inline(always)]
     fn bottom(&self, instance: u32) -> &Bottom {
         match self.top {

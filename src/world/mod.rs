@@ -468,26 +468,4 @@ mod tests {
         let far = far.count();
         assert!((400..600).contains(&far), "{far} of 1000 on the far half");
     }
-
-    /// A world whose camera alone moved has the trees of the one before it.
-    #[test]
-    fn a_moved_camera_builds_nothing() {
-        let scene = lamps();
-        for two_level in [Some(false), Some(true)] {
-            let options = BuildOptions { two_level, ..BuildOptions::default() };
-            let world = World::new(scene.clone(), &options).unwrap();
-            world.prepare_emitters().unwrap();
-            let mut moved = scene.clone();
-            moved.camera.to_world = Transform::Fixed(glam::Affine3A::from_translation(Vec3::ONE));
-            let next = world.next(moved).unwrap();
-            assert!(next.accel.shares(&world.accel));
-            assert!(std::ptr::eq(next.emitters().unwrap(), world.emitters().unwrap()));
-            // The control: where an instance moved, the flat tree is another.
-            let mut other = scene.clone();
-            other.instances[0].to_world = Transform::IDENTITY;
-            let next = world.next(other).unwrap();
-            assert_eq!(next.accel.shares(&world.accel), two_level == Some(true));
-            assert!(next.emitters().is_none());
-        }
-    }
 }
