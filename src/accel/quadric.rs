@@ -109,6 +109,18 @@ mod tests {
         assert!(roots(DVec3::new(1.1, 0.0, -3.0)).iter().all(|t| t.is_nan()));
     }
 
+    /// `b² − a c` of a ball of 1 m at 10⁸ m has no digit of its radius left.
+    #[test]
+    fn far_spheres_are_where_they_are() {
+        let at = |x: f64| sphere_roots(DVec3::ZERO, 1.0, DVec3::new(x, 0.0, -1e8), DVec3::Z * 2.0);
+        for x in [0.0_f64, 0.5, 0.9, 0.999] {
+            let half = (1.0 - x * x).sqrt();
+            let [near, far] = at(x).map(|t| 2.0 * t - 1e8);
+            assert!((near + half).abs() < 1e-7 && (far - half).abs() < 1e-7, "{x}: {near} {far}");
+        }
+        assert!(at(1.001).iter().all(|t| t.is_nan()));
+    }
+
     #[test]
     fn disk_includes_its_rim_and_misses_edge_on() {
         let root = |o: DVec3, d: DVec3| disk_root(DVec3::ZERO, DVec3::Z, 2.0, o, d);

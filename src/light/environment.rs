@@ -252,14 +252,16 @@ impl Environment {
     }
 }
 
-/// Solid angle of a texel in row `y`.
+/// Solid angle of a texel in row `y`: `2π / width · (cos θ − cos θ')` between its edges, with the
+/// difference as `2 sin((θ + θ') / 2) sin((θ' − θ) / 2)`: near a pole the cosines agree in most
+/// digits.
 fn solid_angle(texels: &Texels, y: usize) -> f32 {
     let (width, height) = (texels.image.width as f32, texels.image.height as f32);
     match texels.mapping {
         EnvironmentMapping::LatitudeLongitude => {
-            let band = Band::new(y, height);
-            2.0 * TAU / width
-                * (band.south_sin2 - band.north_sin2).max(band.north_cos2 - band.south_cos2)
+            let half = 0.5 * PI / height;
+            let from_pole = y.min(texels.image.height as usize - 1 - y);
+            2.0 * TAU / width * ((half * (2 * from_pole + 1) as f32).sin() * half.sin())
         }
         EnvironmentMapping::EqualAreaOctahedral => 2.0 * TAU / (width * height),
     }
@@ -493,6 +495,42 @@ mod tests {
             assert!((sampled / uniform - 1.0).abs() < 0.01, "{mapping:?}: {sampled} {uniform}");
             let total = environment.total_luminance();
             assert!((sampled / total - 1.0).abs() < 0.03, "{mapping:?}: {sampled} {total}");
+        }
+    }
+
+    /// Between the last column and the first there is no edge.
+    #[test]
+    fn a_sky_is_whole_at_its_seam() {
+        let texels = (0..4 * 2).map(|i| [[1.0, 2.0, 3.0, 5.0][i % 4], 0.0, 0.0, 1.0]).collect();
+        let image = Image { width: 4, height: 2, data: ImageData::Float(texels) };
+        let mapping = EnvironmentMapping::LatitudeLongitude;
+        let sky = Environment::new(Vec3::ONE, Mat3::IDENTITY, Some((Arc::new(image), mapping)));
+        let at = |turn: f32| {
+            let (y, x) = (TAU * turn).sin_cos();
+            sky.radiance(Vec3::new(x, y, 0.0)).x
+        };
+        for (turn, wanted) in [(0.0, 3.0), (1e-6, 3.0), (-1e-6, 3.0), (0.0625, 2.0), (0.9375, 4.0)]
+        {
+            assert!((at(turn) - wanted).abs() < 1e-3, "{turn}: {}", at(turn));
+        }
+    }
+
+    /// A row at a pole of a large picture: the cosines of its edges agree in most digits.
+    #[test]
+    fn texels_at_the_poles_have_their_solid_angles() {
+        let (width, height) = (2, 16_384);
+        let image = Image { width, height, data: ImageData::Float(vec![[1.0; 4]; 2 * 16_384]) };
+        let mapping = EnvironmentMapping::LatitudeLongitude;
+        let sky = Environment::new(Vec3::ONE, Mat3::IDENTITY, Some((Arc::new(image), mapping)));
+        let texels = sky.image.as_ref().unwrap();
+        let half = 0.5 * std::f64::consts::PI / f64::from(height);
+        for y in [0, 1, 2, 5, 100, 8_191, 8_192, 16_379, 16_382, 16_383] {
+            // cos a − cos b = 2 sin((a + b) / 2) sin((b − a) / 2), without cancellation.
+            let from_pole = y.min(height - 1 - y);
+            let middle = half * f64::from(2 * from_pole + 1);
+            let wanted = 2.0 * std::f64::consts::PI * middle.sin() * half.sin();
+            let found = f64::from(solid_angle(texels, y as usize));
+            assert!((found / wanted - 1.0).abs() < 1e-5, "row {y}: {found} {wanted}");
         }
     }
 

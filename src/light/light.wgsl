@@ -582,8 +582,11 @@ fn band_of(y: u32, height: f32) -> vec4f {
 
 fn texel_solid_angle(mapping: u32, y: u32, size: vec2f) -> f32 {
     if mapping == LATITUDE_LONGITUDE {
-        let band = band_of(y, size.y);
-        return 2.0 * TAU / size.x * max(band.y - band.x, band.z - band.w);
+        // A quarter turn is half of the picture's height, so a turn takes no detour by π.
+        let step = 0.25 / size.y;
+        let from_pole = min(f32(y), size.y - 1.0 - f32(y));
+        let sines = sin_cos_turn(step * (2.0 * from_pole + 1.0)).x * sin_cos_turn(step).x;
+        return 2.0 * TAU / size.x * sines;
     }
     return 2.0 * TAU / (size.x * size.y);
 }

@@ -579,6 +579,18 @@ mod tests {
         scene
     }
 
+    /// Balls of any size as seen from 1 m: `1 − cos` in f64, `sin² / (1 + cos)`.
+    #[test]
+    fn cones_of_small_and_far_balls_keep_their_digits() {
+        for exponent in 1..=18 {
+            let radius = 0.5_f32.powi(exponent);
+            let sin2 = f64::from(radius) * f64::from(radius);
+            let wanted = sin2 / (1.0 + (1.0 - sin2).sqrt());
+            let found = f64::from(one_minus_cos_cone(Vec3::ZERO, Vec3::Y, radius));
+            assert!((found / wanted - 1.0).abs() < 4e-7, "2^-{exponent}: {found} {wanted}");
+        }
+    }
+
     /// Arrivals are what `sample_towards` reports, in the light's measure: radiance · geometry /
     /// density in one is radiance / pdf in the other.
     #[test]

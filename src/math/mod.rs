@@ -171,6 +171,18 @@ mod tests {
     }
 
     #[test]
+    fn a_frame_with_a_tangent_is_right_handed_and_keeps_it() {
+        let normal = Vec3::new(1.0, -2.0, 3.0).normalize();
+        for tangent in [Vec3::X, Vec3::new(0.2, 3.0, -1.0), -Vec3::Z] {
+            let f = Frame::from_normal_and_tangent(normal, tangent);
+            assert!((f.tangent.cross(f.bitangent) - normal).length() < 1e-6, "{tangent}");
+            assert!(f.tangent.dot(tangent) > 0.0 && f.bitangent.dot(tangent).abs() < 1e-6);
+        }
+        let along = Frame::from_normal_and_tangent(Vec3::Z, Vec3::Z);
+        assert_eq!(along, Frame::from_normal(Vec3::Z));
+    }
+
+    #[test]
     fn octahedral_round_trip_at_seams_and_poles() {
         for d in [
             Vec3::X,
@@ -184,6 +196,14 @@ mod tests {
             let d = d.normalize();
             assert!((octahedral_decode(octahedral_encode(d)) - d).length() < 1e-6, "{d}");
         }
+    }
+
+    #[test]
+    fn differences_of_products_keep_what_is_left() {
+        // (1 + ε) (1 − ε) − 1 = −ε², of which single precision has nothing.
+        let epsilon = 1.0 / 8192.0;
+        let left = difference_of_products(1.0 + epsilon, 1.0 - epsilon, 1.0, 1.0);
+        assert_eq!(left, -epsilon * epsilon);
     }
 
     #[test]

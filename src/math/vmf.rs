@@ -266,6 +266,10 @@ mod tests {
             assert!((rough / kappa - 1.0).abs() < 0.051, "{kappa}: {rough}");
             assert!((vmf_mean_cosine(kappa) + missing - 1.0).abs() < 1e-6);
         }
+        for kappa in [0.0, 1e-12, 1e-8, 1e-6, 1e-4, 1e-3] {
+            let third = kappa / 3.0;
+            assert!((vmf_mean_cosine(kappa) - third).abs() <= 1e-6 * third, "{kappa}");
+        }
         assert_eq!(vmf_kappa(0.0), MAX_KAPPA);
         assert_eq!(vmf_kappa(1.0), 0.0);
         assert_eq!(approximate_vmf_kappa(f32::NAN), 0.0);

@@ -376,6 +376,16 @@ mod tests {
     }
 
     #[test]
+    fn directions_near_the_horizon_keep_their_height() {
+        for odd in (1..200_000).step_by(2) {
+            let d = sample_cosine_hemisphere(Vec2::new((odd / 2) as f32 * 2.0 * HALF_STEP, 0.5));
+            let below = f64::from(odd) * 2.0 * f64::from(HALF_STEP);
+            let height = (below * (2.0 - below)).sqrt();
+            assert!((f64::from(d.z) / height - 1.0).abs() < 3e-7, "{odd}: {} {height}", d.z);
+        }
+    }
+
+    #[test]
     fn stable_cone_matches_its_opening() {
         // All of a cone of 10⁻⁶ rad is inside of it, and its mean of sin²/(2 (1 − cos θ_max)) is
         // 1/2.

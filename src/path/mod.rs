@@ -132,3 +132,30 @@ pub fn finite_or_counted(radiance: Vec3, counters: &mut Counters) -> Vec3 {
         Vec3::ZERO
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::accel::AcceptAll;
+    use crate::scene::{Color, Geometry, Material, Scene, Shape};
+
+    /// What stands in front of a lamp hides it, however near to it; what stands behind does not.
+    #[test]
+    fn shadow_rays_reach_as_far_as_the_lamp() {
+        for (height, hidden) in [(0.9995, true), (1.0005, false)] {
+            let mut scene = Scene::new("shadow");
+            let reflectance = Color::Constant(Vec3::ONE);
+            let white = scene.add_material(Material::Diffuse { reflectance });
+            for y in [0.0, height] {
+                let center = Vec3::Y * y;
+                let disk = Geometry::Disk { center, normal: Vec3::Y, radius: 1.0 };
+                scene.add_shape(Shape::new(disk, white));
+            }
+            let world = World::new(scene, &Default::default()).unwrap();
+            let down = Ray { origin: 0.5 * Vec3::Y, direction: -Vec3::Y, t_max: f32::INFINITY };
+            let floor = world.surface(&world.closest_hit(&down).unwrap());
+            let ray = shadow_ray(&floor, Vec3::Y, Some(Vec3::Y));
+            assert_eq!(world.accel.occluded(&ray, &AcceptAll), hidden, "{height}");
+        }
+    }
+}

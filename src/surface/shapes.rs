@@ -87,3 +87,54 @@ impl HitFilter for AlphaMask<'_> {
         crate::math::rng::unit_float(word) < alpha
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+
+    use super::*;
+    use crate::math::rng::{RandomSource, Stream};
+    use crate::scene::{Color, Geometry, Shape};
+    use crate::world::World;
+
+    /// A coverage of a quarter stops a quarter of the rays, not three of them.
+    #[test]
+    fn coverage_is_the_share_of_rays_that_meet() {
+        for coverage in [0.25, 0.6] {
+            let mut scene = Scene::new("mask");
+            let reflectance = Color::Constant(Vec3::ZERO);
+            let black = scene.add_material(Material::Diffuse { reflectance });
+            let disk = Geometry::Disk { center: Vec3::ZERO, normal: Vec3::Z, radius: 2.0 };
+            let mut shape = Shape::new(disk, black);
+            shape.alpha = Some(Scalar::Constant(coverage));
+            scene.add_shape(shape);
+            let world = World::new(scene, &Default::default()).unwrap();
+            let mut random = Stream::from_key(1);
+            let n = 10_000;
+            let met = (0..n).filter(|_| {
+                let origin = Vec3::new(random.uniform(), random.uniform(), 1.0);
+                let direction = -Vec3::Z + 0.1 * Vec3::new(random.uniform(), random.uniform(), 0.0);
+                world.closest_hit(&Ray { origin, direction, t_max: f32::INFINITY }).is_some()
+            });
+            // 5 standard errors.
+            let share = met.count() as f32 / n as f32;
+            assert!((share - coverage).abs() < 0.025, "{coverage}: {share}");
+        }
+    }
+
+    /// A constant coverage of 1 is none, so that no hit asks for it.
+    #[test]
+    fn a_whole_surface_has_no_mask() {
+        let mut scene = Scene::new("whole");
+        let reflectance = Color::Constant(Vec3::ZERO);
+        let black = scene.add_material(Material::Diffuse { reflectance });
+        for alpha in [None, Some(1.0), Some(0.5)] {
+            let ball = Geometry::Sphere { center: Vec3::ZERO, radius: 1.0 };
+            let mut shape = Shape::new(ball, black);
+            shape.alpha = alpha.map(Scalar::Constant);
+            scene.add_shape(shape);
+        }
+        let masks: Vec<bool> = placed_shapes(&scene).iter().map(|s| s.alpha.is_some()).collect();
+        assert_eq!(masks, [false, false, true]);
+    }
+}

@@ -307,3 +307,165 @@ pub fn bounds(scene: &Scene) -> [Vec3; 2] {
     }
     if low.cmple(high).all() { [low.into(), high.into()] } else { [-Vec3::ONE, Vec3::ONE] }
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::{Quat, Vec2, Vec4};
+
+    use super::*;
+    use crate::math::rng::{RandomSource, Stream};
+    use crate::scene::{
+        Color, Image, ImageData, Material, Mesh, Shape, Texture, TextureKind, Transform, Wrap,
+    };
+
+    /// Lamps of each kind, one-sided and two-sided, turned around and not, where instances mirror
+    /// and scale them. Each is 10 m from the next; the emission of meshes is a texture.
+    fn lamps() -> Scene {
+        let mut scene = Scene::new("lamps");
+        let reflectance = Color::Constant(Vec3::ZERO);
+        let black = scene.add_material(Material::Diffuse { reflectance });
+        let colors =
+            [Vec4::new(1.0, 2.0, 9.0, 1.0), Vec4::ONE, Vec4::X, Vec4::new(5.0, 1.0, 3.0, 1.0)];
+        let data = ImageData::Float(colors.map(|c| c.to_array()).to_vec());
+        let image = scene.add_image(Image { width: 2, height: 2, data });
+        let kind = TextureKind::Image { image, wrap: Wrap::Clamp, scale: 1.0, invert: false };
+        let texture = scene.add_texture(Texture { kind, mapping: glam::Affine2::IDENTITY });
+        let mesh = Geometry::Mesh(Arc::new(Mesh {
+            positions: vec![
+                Vec3::ZERO,
+                Vec3::X,
+                Vec3::new(1.0, 1.2, 0.0),
+                Vec3::new(0.1, 1.0, 0.2),
+            ],
+            uvs: vec![Vec2::ZERO, Vec2::X, Vec2::ONE, Vec2::Y],
+            triangles: vec![[0, 1, 2], [0, 2, 3]],
+            ..Mesh::default()
+        }));
+        let normal = Vec3::new(1.0, 2.0, -1.0).normalize();
+        let disk = Geometry::Disk { center: Vec3::new(0.2, 0.1, 0.0), normal, radius: 0.7 };
+        let ball = Geometry::Sphere { center: Vec3::new(0.0, 0.3, 0.0), radius: 0.6 };
+        let turn = Quat::from_euler(glam::EulerRot::XYZ, 0.3, -1.0, 2.0);
+        let mut key = 0;
+        for geometry in [mesh, disk, ball] {
+            let is_mesh = matches!(geometry, Geometry::Mesh(_));
+            let scale = if is_mesh { Vec3::new(1.4, 0.8, 1.1) } else { Vec3::splat(1.5) };
+            for (mirror, reverse, two_sided) in
+                [(1.0, false, false), (-1.0, false, false), (1.0, true, false), (-1.0, true, true)]
+            {
+                let mut shape = Shape::new(geometry.clone(), black).emitting(Vec3::splat(2.0));
+                shape.reverse_orientation = reverse;
+                let emission = shape.emission.as_mut().unwrap();
+                emission.two_sided = two_sided;
+                if is_mesh {
+                    emission.radiance = Color::Texture(texture);
+                }
+                let shapes = vec![shape];
+                let object = scene.add_object(Object { name: String::new(), shapes });
+                let place = glam::Affine3A::from_scale_rotation_translation(
+                    scale * Vec3::new(mirror, 1.0, 1.0),
+                    turn,
+                    10.0 * key as f32 * Vec3::X,
+                );
+                scene.add_instance(object, Transform::Fixed(place), key);
+                key += 1;
+            }
+        }
+        scene
+    }
+
+    /// A ray that meets a lamp and light sampling say the same of it: which side shines, what it
+    /// sends, where its points are and how densely it is sampled.
+    #[test]
+    fn lamps_are_sampled_as_rays_meet_them() {
+        let world = World::new(lamps(), &BuildOptions::default()).unwrap();
+        let (lights, scene) = (&world.lights, &*world.scene);
+        let mut random = Stream::from_key(3);
+        let mut seen = vec![[0; 2]; lights.len()];
+        for round in 0..40_000 {
+            let light = round % lights.len() as u32;
+            let u = Vec2::new(random.uniform(), random.uniform());
+            let target = lights.emitter(scene, LightPoint { light, uv: u });
+            let Some(target) = target.map(|emitter| emitter.place()) else { continue };
+            let offset = Vec3::new(random.uniform(), random.uniform(), random.uniform()) - 0.5;
+            let from = target + 4.0 * offset;
+            let direction = (target - from).normalize();
+            let Some(hit) =
+                world.closest_hit(&Ray { origin: from, direction, t_max: f32::INFINITY })
+            else {
+                continue;
+            };
+            let point = world.accel.point(&hit);
+            let cosine = -direction.dot(point.geometric_normal);
+            if lights.of_surface(point.shape, point.element) != light || cosine.abs() < 0.05 {
+                continue;
+            }
+            let met = lights.emitted(scene, light, point.uv, cosine);
+            seen[light as usize][usize::from(met != Vec3::ZERO)] += 1;
+            let there = lights.emitter(scene, lights.point_at(light, &hit, &point)).unwrap();
+            assert!((there.place() - point.position).length() < 2e-4 * from.length(), "{light}");
+            let arrival = there.towards(lights, from);
+            assert_eq!(arrival.is_some(), met != Vec3::ZERO, "{light} from {from}: {met}");
+            if let Some(arrival) = arrival {
+                let sent = arrival.radiance / arrival.geometry;
+                assert!((sent - met).length() < 5e-3 * met.length(), "{light}: {sent} {met}");
+            }
+            // The same with the point that light sampling draws.
+            let Some(incident) = lights.sample_towards(scene, light, from, u) else { continue };
+            let ray = Ray { origin: from, direction: incident.direction, t_max: f32::INFINITY };
+            let Some(hit) = world.closest_hit(&ray) else { continue };
+            let point = world.accel.point(&hit);
+            let cosine = -ray.direction.dot(point.geometric_normal);
+            if lights.of_surface(point.shape, point.element) != light || cosine.abs() < 0.05 {
+                continue;
+            }
+            let met = lights.emitted(scene, light, point.uv, cosine);
+            assert!((incident.radiance - met).length() < 5e-3 * met.length(), "{light}: {met}");
+            let pdf = lights.pdf_towards(light, from, point.position, cosine);
+            assert!((pdf / incident.pdf - 1.0).abs() < 1e-2, "{light}: {pdf} {}", incident.pdf);
+        }
+        for (light, [dark, bright]) in seen.into_iter().enumerate() {
+            assert!(bright > 20, "lamp {light} is seen {bright} times");
+            let two_sided = [6, 7, 11, 15].contains(&light);
+            assert!(two_sided == (dark == 0), "lamp {light} is dark {dark} times");
+        }
+    }
+
+    /// Power decides how often a lamp is chosen: one that shines on both sides has twice as much.
+    #[test]
+    fn a_lamp_that_shines_on_both_sides_is_chosen_twice_as_often() {
+        let mut scene = Scene::new("power");
+        let reflectance = Color::Constant(Vec3::ZERO);
+        let black = scene.add_material(Material::Diffuse { reflectance });
+        for two_sided in [false, true] {
+            let disk = Geometry::Disk { center: Vec3::ZERO, normal: Vec3::Z, radius: 1.0 };
+            let mut shape = Shape::new(disk, black).emitting(Vec3::ONE);
+            shape.emission.as_mut().unwrap().two_sided = two_sided;
+            scene.add_shape(shape);
+        }
+        let lights = Lights::build(&scene, bounds(&scene));
+        let chances = [0, 1].map(|light| lights.choice_probability(light));
+        assert!((chances[1] / chances[0] - 2.0).abs() < 1e-6, "{chances:?}");
+    }
+
+    /// Through the holes of a ball that shines inwards, too, its far side is seen.
+    #[test]
+    fn the_far_side_of_a_ball_with_holes_is_sampled() {
+        let mut scene = Scene::new("holes");
+        let reflectance = Color::Constant(Vec3::ZERO);
+        let black = scene.add_material(Material::Diffuse { reflectance });
+        let ball = Geometry::Sphere { center: Vec3::ZERO, radius: 1.0 };
+        let mut shape = Shape::new(ball, black).emitting(Vec3::ONE);
+        shape.emission.as_mut().unwrap().two_sided = true;
+        shape.alpha = Some(crate::scene::Scalar::Constant(0.5));
+        scene.add_shape(shape);
+        let lights = Lights::build(&scene, bounds(&scene));
+        let mut random = Stream::from_key(1);
+        let far = (0..1000).filter(|_| {
+            let u = Vec2::new(random.uniform(), random.uniform());
+            let emitter = lights.emitter_towards(&scene, 0, 3.0 * Vec3::X, u);
+            emitter.is_some_and(|emitter| emitter.place().x < 0.0)
+        });
+        let far = far.count();
+        assert!((400..600).contains(&far), "{far} of 1000 on the far half");
+    }
+}

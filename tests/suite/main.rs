@@ -16,6 +16,7 @@ mod learn;
 mod loaders;
 mod matrix;
 mod metamorphic;
+mod mutants;
 mod mutations;
 mod oracles;
 #[cfg(feature = "experiment")]

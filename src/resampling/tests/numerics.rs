@@ -210,6 +210,44 @@ fn a_weight_that_is_not_a_number_is_counted() {
     assert_eq!(reservoir.rejected(), 2);
 }
 
+/// Two neighbours that are alike share by halves whatever their targets' unit: a product of
+/// confidence and target would overflow, or be 0.
+#[test]
+fn balance_is_a_matter_of_ratios() {
+    for target in [1e-38, 1.0, 3e38] {
+        let told = Neighbour {
+            weight: 1.0,
+            target,
+            confidence: 20.0,
+            here: Some((1e-3 * target.min(1.0), 1.0)),
+            there: Some((target, 1.0)),
+        };
+        let neighbours = [told; 2];
+        let canonical: Input<'_, usize, usize, Counting> =
+            Input { finished: finished(0, 0.0, 1.0), target: 0.0, domain: &0 };
+        let others = [1, 2].map(|domain| (finished(domain, 1.0, 20.0), domain));
+        let others = others.each_ref().map(|(finished, domain)| Input {
+            finished: *finished,
+            target,
+            domain,
+        });
+        let mut shares = Vec::new();
+        merge(
+            &mut Told(&neighbours),
+            Family::Balance,
+            &canonical,
+            others.as_slice(),
+            &mut Plain::default(),
+            &mut Stream::from_key(1),
+            |term| shares.push(term.mis),
+        );
+        assert_eq!(shares.len(), 2);
+        for share in shares {
+            assert!((share - 0.5).abs() < 1e-3, "{target}: {share}");
+        }
+    }
+}
+
 #[test]
 fn shares_of_extremes_are_what_they_are_of_ordinary_numbers() {
     assert_eq!((share(0.0, 0.0), share(0.0, 1.0), share(1.0, 0.0)), (0.0, 0.0, 1.0));

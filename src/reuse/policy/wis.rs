@@ -49,6 +49,10 @@ mod tests {
             assert_eq!(pack_average(unpack_average(bits)), bits);
         }
         assert_eq!((pack_average(0.0), pack_average(1.0)), (0, u16::MAX));
+        for bits in (0..u16::MAX).step_by(101) {
+            let between = |part: f32| pack_average((f32::from(bits) + part) / 65535.0);
+            assert_eq!((between(0.4), between(0.6)), (bits, bits + 1));
+        }
     }
 
     /// A chain of averages V̄ ← (20 V̄ + v) / 21 over 500 frames: the stored mean drifts by less

@@ -470,6 +470,34 @@ mod tests {
         crate::frame::FrameLoop::new(std::sync::Arc::new(d), &stage, shot).unwrap();
     }
 
+    /// What drops samples is biased where that loses light, and says so; the same where nothing is
+    /// lost claims nothing.
+    #[test]
+    fn what_drops_samples_claims_a_bias() {
+        let scene = crate::scene::generate("many-lights:20").unwrap();
+        let still = crate::frame::Stage::new(scene.clone()).unwrap();
+        let moving = crate::frame::Stage::moving(scene).unwrap();
+        let shot =
+            Shot { size: [2, 2], depth: 2, filter: Filter::Point, run: 1, effort: 1.0, fps: 30 };
+        for (spec, biased) in [
+            ("restir-di", [false, false]),
+            ("restir-di:max-age=5", [true, true]),
+            ("restir-di:boiling=0.1", [true, true]),
+            ("restir-di:visibility=bitterli", [true, true]),
+            ("restir-di:visibility=bitterli,neighbours=0", [false, true]),
+            ("restir-di:visibility=bitterli,neighbours=0,mutations=1", [true, true]),
+            ("restir-di:mis=constant", [true, true]),
+            ("restir-di:mis=constant,neighbours=0", [false, false]),
+            ("restir-di:temporal-mis=constant", [false, true]),
+        ] {
+            let claims = [&still, &moving].map(|stage| {
+                let claim = parse(spec).unwrap().plan(stage.facts(), &shot).claim;
+                claim != Claim::Unbiased
+            });
+            assert_eq!(claims, biased, "{spec}");
+        }
+    }
+
     #[test]
     fn contradictions_name_both_sides() {
         for (spec, text) in [
