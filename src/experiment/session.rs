@@ -111,7 +111,7 @@ impl Session {
         if settings.depth.is_none() && session.shot.depth < depth {
             let used = session.shot.depth;
             session.host.note(&format!(
-                "warning: {scene}: paths end after {used} segments, the file asks for {depth} (`depth` {depth} has them all)"
+                "warning: {scene}: paths end after {used} segments, the file asks for {depth}; `depth` sets another limit"
             ));
         }
         Ok(session)

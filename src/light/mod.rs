@@ -108,7 +108,7 @@ struct Light {
     /// Of its surface, where it is not 1: what a ray that meets the surface passes through, its
     /// points do not send.
     coverage: Option<Scalar>,
-    /// Whether rays meet its surface: not where coverage is the number 0, and it emits all the same.
+    /// Whether rays meet its surface: not where coverage is the number 0; it emits all the same.
     met: bool,
     /// Texture coordinates of a triangle's corners, where its emission or coverage is textured.
     uvs: [Vec2; 3],

@@ -33,7 +33,8 @@ pub struct World {
     emitters: OnceLock<Arc<Emitters>>,
 }
 
-/// The surfaces that emit and that rays meet, without all others: what a ray would meet if nothing stood in between.
+/// The surfaces that emit and that rays meet, without all others: what a ray would meet if nothing
+/// stood in between.
 #[derive(Clone, Debug)]
 pub struct Emitters {
     accel: Accel,

@@ -13,6 +13,7 @@
 
 mod animation;
 mod bytes;
+mod json;
 mod material;
 mod pose;
 
@@ -23,7 +24,7 @@ use std::sync::Arc;
 use glam::{Affine3A, Mat3, Vec2, Vec3, Vec3A};
 use gltf::json::extensions::scene::khr_lights_punctual::Type as LightType;
 use gltf::json::mesh::{Mode, Semantic};
-use gltf::json::validation::{Checked, Error as Fault, Validate};
+use gltf::json::validation::Checked;
 use gltf::json::{Index, Root, mesh};
 
 use super::{Warnings, emits, normals};
@@ -41,19 +42,6 @@ use pose::{Deformer, Pose, Rest, Vertices};
 /// The longer side of the picture; glTF has a shape at most.
 const LONGER_SIDE: f32 = 1280.0;
 
-/// Extensions that are read. `KHR_mesh_quantization` only allows more number formats, all of which
-/// are read.
-const EXTENSIONS: [&str; 8] = [
-    "KHR_lights_punctual",
-    "KHR_materials_emissive_strength",
-    "KHR_materials_ior",
-    "KHR_materials_specular",
-    "KHR_materials_transmission",
-    "KHR_materials_volume",
-    "KHR_mesh_quantization",
-    "KHR_texture_transform",
-];
-
 pub(super) fn load(path: &Path) -> Result<Loaded> {
     from_bytes(&super::read(path)?, path)
 }
@@ -63,13 +51,13 @@ pub(super) fn from_bytes(bytes: &[u8], path: &Path) -> Result<Loaded> {
 }
 
 fn read(bytes: &[u8], path: &Path) -> Result<Loaded> {
-    let (json, binary) = bytes::split(bytes)?;
+    let (text, binary) = bytes::split(bytes)?;
     let mut warnings = Warnings::of(path);
-    let root = parse(json, &mut warnings)?;
-    check(&root, &mut warnings)?;
+    let root = json::parse(text, &mut warnings)?;
+    json::check(&root, &mut warnings)?;
     let buffers = Buffers::read(&root, binary, path)?;
     let motions = animation::read(&root, &buffers, &mut warnings)?;
-    let rest = Rest::new(&root)?;
+    let rest = Rest::new(&root);
     let name = path.file_stem().map_or_else(String::new, |s| s.to_string_lossy().into_owned());
     let mut scene = Scene::new(name);
     scene.time = motions.time;
@@ -84,6 +72,7 @@ fn read(bytes: &[u8], path: &Path) -> Result<Loaded> {
         root: &root,
         buffers: &buffers,
         motions: &motions,
+        moving: motions.moving(&root),
         deformer: Deformer { root: &root, buffers: &buffers, rest: &rest },
         materials,
         path,
@@ -96,124 +85,12 @@ fn read(bytes: &[u8], path: &Path) -> Result<Loaded> {
     builder.build()
 }
 
-/// The JSON as glTF. Channels of animations without a node, which extensions have, are left out:
-/// the crate would refuse them.
-fn parse(json: &[u8], warnings: &mut Warnings) -> Result<Root> {
-    let error = match Root::from_slice(json) {
-        Ok(root) => return Ok(root),
-        Err(error) => error,
-    };
-    if error.is_data()
-        && let Ok(mut value) = serde_json::from_slice::<serde_json::Value>(json)
-    {
-        let mut dropped = false;
-        let animations = value.get_mut("animations").and_then(|a| a.as_array_mut());
-        for (a, animation) in animations.into_iter().flatten().enumerate() {
-            let Some(channels) = animation.get_mut("channels").and_then(|c| c.as_array_mut())
-            else {
-                continue;
-            };
-            let all = channels.len();
-            channels.retain(|c| c.pointer("/target").is_none_or(|t| t.get("node").is_some()));
-            if channels.len() < all {
-                dropped = true;
-                warnings
-                    .add(format!("animations[{a}].channels: some drive no node; they are ignored"));
-            }
-        }
-        if dropped && let Ok(root) = Root::from_slice(value.to_string().as_bytes()) {
-            return Ok(root);
-        }
-    }
-    let (line, column) = (error.line() as u32, error.column() as u32);
-    Err(Error::syntax(format!("not glTF 2.0: {}", of_json(&error))).at_line(line, column))
-}
-
-/// What is wrong with a JSON text, in words: the crate's own name its types and the place again.
-fn of_json(error: &serde_json::Error) -> String {
-    use serde_json::error::Category;
-    match error.classify() {
-        Category::Eof => "the JSON text ends too early".to_string(),
-        Category::Syntax | Category::Io => "the text is not JSON".to_string(),
-        Category::Data => {
-            let text = error.to_string();
-            let end = text.find(", expected").or_else(|| text.find(" at line "));
-            let found = &text[..end.unwrap_or(text.len())];
-            let found = found.strip_prefix("invalid type: ").unwrap_or(found);
-            let found: String = found.chars().filter(|c| !c.is_control()).take(80).collect();
-            format!("{found} does not fit there")
-        }
-    }
-}
-
-/// Whether files that require an extension are shown without it: it adds to how a surface looks.
-fn can_be_left_out(extension: &str) -> bool {
-    extension.starts_with("KHR_materials_") || extension == "KHR_xmp_json_ld"
-}
-
-/// What the JSON alone can tell: versions, extensions, indices.
-fn check(root: &Root, warnings: &mut Warnings) -> Result<()> {
-    if !root.asset.version.starts_with("2.") {
-        let message = format!("is `{}`; allowed: 2.0", root.asset.version);
-        return Err(Error::unsupported(message).at_json("asset.version"));
-    }
-    for (i, name) in root.extensions_required.iter().enumerate() {
-        if !EXTENSIONS.contains(&name.as_str()) && !can_be_left_out(name) {
-            let message = format!("is `{name}`; allowed: {}", EXTENSIONS.join(", "));
-            return Err(Error::unsupported(message).at_json(format!("extensionsRequired[{i}]")));
-        }
-    }
-    for (i, name) in root.extensions_used.iter().enumerate() {
-        if !EXTENSIONS.contains(&name.as_str()) {
-            let known = EXTENSIONS.join(", ");
-            warnings.add(format!("extensionsUsed[{i}]: `{name}` is ignored; read are: {known}"));
-        }
-    }
-    // The crate's own check indexes the accessors with POSITION before it has checked that index.
-    for (m, mesh) in root.meshes.iter().enumerate() {
-        for (p, primitive) in mesh.primitives.iter().enumerate() {
-            for (semantic, accessor) in &primitive.attributes {
-                let place = format!("meshes[{m}].primitives[{p}].attributes");
-                let Checked::Valid(semantic) = semantic else {
-                    warnings.add(format!(
-                        "{place}: names that glTF 2.0 does not know are ignored; those of applications begin with `_`"
-                    ));
-                    continue;
-                };
-                if accessor.value() >= root.accessors.len() {
-                    let name = semantic.to_string();
-                    let message =
-                        format!("is {}; allowed: below {}", accessor.value(), root.accessors.len());
-                    return Err(Error::invalid(message).at_json(format!("{place}.{name}")));
-                }
-            }
-        }
-    }
-    let mut first = None;
-    root.validate(root, gltf::json::Path::new, &mut |path, fault| {
-        let place = path().to_string();
-        // Checked above, and more kindly. Bounds of POSITION are not needed, and a primitive
-        // without POSITION shows nothing.
-        let known = place.starts_with("extensionsRequired") || place.contains(".attributes");
-        if first.is_none() && !known {
-            first = Some((place, fault));
-        }
-    });
-    let Some((place, fault)) = first else { return Ok(()) };
-    let message = match fault {
-        Fault::IndexOutOfBounds => "refers to what does not exist",
-        Fault::Missing => "is missing",
-        Fault::Invalid => "is nothing that glTF 2.0 knows",
-        Fault::Oversize => "is too large",
-        Fault::Unsupported => "is not read",
-    };
-    Err(Error::invalid(message).at_json(place))
-}
-
 struct Builder<'a> {
     root: &'a Root,
     buffers: &'a Buffers<'a>,
     motions: &'a Motions,
+    /// Whether a node or one above it is animated.
+    moving: Vec<bool>,
     deformer: Deformer<'a>,
     materials: Materials<'a>,
     path: &'a Path,
@@ -346,7 +223,7 @@ impl Builder<'_> {
         let skin = node.skin.filter(|skin| self.root.get(*skin).is_some());
         if let Some(skin) = skin {
             let joints = &self.root.skins[skin.value()].joints;
-            if joints.iter().any(|joint| self.motions.moves(self.root, joint.value())) {
+            if joints.iter().any(|joint| self.moving[joint.value()]) {
                 self.warnings.add(format!(
                     "nodes[{n}].skin: its joints are animated, which is not followed; the mesh keeps its rest pose"
                 ));

@@ -97,8 +97,8 @@ pub fn ply_from_bytes(bytes: &[u8]) -> Result<Mesh> {
 /// Decodes a picture by its leading bytes.
 ///
 /// # Errors
-/// Bytes that are no PNG, JPEG, TGA, Radiance HDR, PFM or OpenEXR, damaged ones, or a picture above 32,768
-/// pixels a side or 1 GiB decoded.
+/// Bytes that are no PNG, JPEG, TGA, Radiance HDR, PFM or OpenEXR, damaged ones, or a picture above
+/// 32,768 pixels a side or 1 GiB decoded.
 pub fn image_from_bytes(bytes: &[u8], encoding: Encoding) -> Result<Image> {
     picture::image_from_bytes(bytes, encoding)
 }

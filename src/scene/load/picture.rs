@@ -1,4 +1,4 @@
-//! Pictures from files: PNG, JPEG, TGA, Radiance HDR (crate `image`), OpenEXR (crate `exr`) and PFM,
+//! Pictures from files: PNG, JPEG, TGA, Radiance HDR (crate `image`), OpenEXR (crate `exr`), PFM,
 //! recognised by their leading bytes.
 //!
 //! Sizes are checked in the header, before anything is decoded, so that a small file cannot ask for
@@ -134,8 +134,8 @@ fn is_tga(bytes: &[u8]) -> bool {
         && header[17] >> 6 == 0
 }
 
-/// A portable float map: `PF` (colours) or `Pf` (grey), width, height and a scale as text, each with
-/// one white space behind it, then rows of f32 from the bottom up. A negative scale says
+/// A portable float map: `PF` (colours) or `Pf` (grey), width, height and a scale as text, each
+/// with one white space behind it, then rows of f32 from the bottom up. A negative scale says
 /// little-endian; its magnitude is a factor.
 fn decode_pfm(bytes: &[u8]) -> Result<Image> {
     let damaged = |what: &str| Error::syntax(format!("damaged PFM picture: {what}"));

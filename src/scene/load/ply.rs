@@ -27,9 +27,34 @@ pub(super) struct Read {
 pub(super) fn from_bytes(bytes: &[u8]) -> Result<Read> {
     let unpacked = super::gunzip(bytes)?;
     let bytes = unpacked.as_deref().unwrap_or(bytes);
+    let replaced = without_words(bytes);
+    let bytes = replaced.as_deref().unwrap_or(bytes);
     // The parser is other people's; a panic in it is an error of the file, not of the program.
     catch_unwind(AssertUnwindSafe(|| parse(bytes)))
         .unwrap_or_else(|_| Err(Error::syntax("damaged PLY file: its parser failed")))
+}
+
+/// An ASCII file with a number beyond all f32 in the place of `nan` and `inf`, which the parser does
+/// not know; `None` where there are none.
+fn without_words(bytes: &[u8]) -> Option<Vec<u8>> {
+    const END: &[u8] = b"end_header";
+    let header = bytes.windows(END.len()).position(|window| window == END)? + END.len();
+    let (header, data) = bytes.split_at(header);
+    let ascii = header.windows(12).any(|window| window == b"format ascii");
+    if !ascii || !data.iter().any(|byte| matches!(byte, b'n' | b'N')) {
+        return None;
+    }
+    let mut replaced = header.to_vec();
+    for piece in data.split_inclusive(u8::is_ascii_whitespace) {
+        let end = piece.iter().position(u8::is_ascii_whitespace).unwrap_or(piece.len());
+        let (word, space) = piece.split_at(end);
+        let bare = word.strip_prefix(b"-").or(word.strip_prefix(b"+")).unwrap_or(word);
+        let known = [&b"nan"[..], b"inf", b"infinity"];
+        let other = known.iter().any(|known| bare.eq_ignore_ascii_case(known));
+        replaced.extend_from_slice(if other { b"1e999" } else { word });
+        replaced.extend_from_slice(space);
+    }
+    Some(replaced)
 }
 
 fn parse(bytes: &[u8]) -> Result<Read> {
@@ -181,9 +206,8 @@ fn to_mesh(vertices: &[Vertex], faces: &[Face], has_normals: bool, has_uvs: bool
     }
     let mut warnings = Vec::new();
     if let Some(bad) = uvs.iter().position(|uv| !uv.is_finite()) {
-        let found = uvs[bad];
         warnings.push(format!(
-            "vertex {bad} has the texture coordinates {found}; such ones are taken as 0 0"
+            "vertex {bad} has texture coordinates that are not finite; such ones are taken as 0 0"
         ));
         uvs.iter_mut().filter(|uv| !uv.is_finite()).for_each(|uv| *uv = Vec2::ZERO);
     }

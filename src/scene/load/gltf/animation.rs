@@ -33,8 +33,8 @@ pub(super) struct Motions {
 }
 
 impl Motions {
-    /// Whether a node or one above it is animated.
-    pub(super) fn moves(&self, root: &Root, node: usize) -> bool {
+    /// Whether a node or one above it is animated, for all nodes.
+    pub(super) fn moving(&self, root: &Root) -> Vec<bool> {
         let mut below = vec![false; root.nodes.len()];
         let mut stack: Vec<usize> = self.by_node.keys().copied().collect();
         while let Some(n) = stack.pop() {
@@ -42,7 +42,7 @@ impl Motions {
                 stack.extend(root.nodes[n].children.iter().flatten().map(|child| child.value()));
             }
         }
-        below[node]
+        below
     }
 }
 

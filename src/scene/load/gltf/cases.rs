@@ -228,7 +228,7 @@ fn a_camera_or_light_keeps_its_place_whatever_its_own_scale() {
     );
     // The scale goes from (0, 0, 0) to (4, 0, 0).
     let rest = r#","cameras":[{"type":"perspective","perspective":{"yfov":1.0,"znear":0.1}}],"materials":[{}],
-        "extensions":{"KHR_lights_punctual":{"lights":[{"type":"spot"}]}},
+        "extensions":{"KHR_lights_punctual":{"lights":[{"type":"spot","spot":{}}]}},
         "animations":[{"samplers":[{"input":3,"output":4}],"channels":[{"sampler":0,"target":{"node":0,"path":"scale"}}]}]"#;
     let loaded = parse(&file(&nodes, rest)).unwrap();
     assert_warnings(&loaded, &["scenes: nothing to show"]);
@@ -337,7 +337,12 @@ fn messages_are_words_and_name_the_file() {
         (r#""mesh":0"#, r#""mesh":"a""#, "t.gltf:1:"),
         (r#""mesh":0"#, r#""mesh":-1"#, "t.gltf:1:"),
         (r#""primitives""#, r#""primitive""#, "t.gltf:"),
-        ("[{}]", "[[]]", "t.gltf:"),
+        ("[{}]", "[7]", "t.gltf:"),
+        (
+            r#","materials""#,
+            r#","extensions":{"KHR_lights_punctual":{"lights":[{"type":"spot"}]}},"materials""#,
+            "t.gltf: extensions.KHR_lights_punctual.lights[0].spot: is missing",
+        ),
         ("}", "", "t.gltf:"),
         (r#""type":"VEC3""#, r#""type":"VEC5""#, "t.gltf: accessors[0].type: "),
         (r#""material":0"#, r#""material":0,"mode":9"#, "t.gltf: meshes[0].primitives[0].mode: "),
@@ -523,7 +528,8 @@ fn every_value_of_nodes_lights_and_animations_is_read() {
     let keys: Vec<u64> = scene.instances.iter().map(|i| i.key).collect();
     assert_eq!(keys, [0, 1, 2, 7]);
     let close = |found: Vec3, expected: Vec3| {
-        assert!((found - expected).abs().max_element() < 1e-5, "{found} instead of {expected}");
+        let size = expected.length().max(1.0);
+        assert!((found - expected).length() < 1e-6 * size, "{found} instead of {expected}");
     };
     let place =
         |i: usize, time: f32, p: Vec3| scene.instances[i].to_world.at(time).transform_point3(p);

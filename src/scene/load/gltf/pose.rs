@@ -33,18 +33,17 @@ pub(super) struct Vertices {
 pub(super) struct Rest(Vec<Affine3A>);
 
 impl Rest {
-    pub(super) fn new(root: &Root) -> Result<Self> {
+    pub(super) fn new(root: &Root) -> Self {
         let mut parent = vec![None; root.nodes.len()];
         for (n, node) in root.nodes.iter().enumerate() {
             node.children.iter().flatten().for_each(|child| parent[child.value()] = Some(n));
         }
-        let mut own = Vec::with_capacity(root.nodes.len());
-        for (n, node) in root.nodes.iter().enumerate() {
-            own.push(match animation::local(node, n, None)? {
-                Track::Fixed(affine) => affine,
-                Track::Trs { .. } => Affine3A::IDENTITY,
-            });
-        }
+        // What is wrong with a node is said where the scene reaches it.
+        let own = |(n, node)| match animation::local(node, n, None) {
+            Ok(Track::Fixed(affine)) => affine,
+            _ => Affine3A::IDENTITY,
+        };
+        let own: Vec<Affine3A> = root.nodes.iter().enumerate().map(own).collect();
         let mut world: Vec<Option<Affine3A>> = vec![None; own.len()];
         for n in 0..own.len() {
             // Up to the first ancestor that is known, then down again; a node that is its own
@@ -61,7 +60,7 @@ impl Rest {
                 above = *world[n].get_or_insert(above * own[n]);
             }
         }
-        Ok(Self(world.into_iter().map(Option::unwrap_or_default).collect()))
+        Self(world.into_iter().map(Option::unwrap_or_default).collect())
     }
 }
 

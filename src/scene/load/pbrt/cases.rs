@@ -127,7 +127,7 @@ fn a_ply_file_with_a_normal_that_is_none_names_file_and_vertex() {
         loaded.warnings,
         [
             format!(
-                "{path}:2:17: \"a.ply\": vertex 3 has the texture coordinates [NaN, 1]; such ones are taken as 0 0"
+                "{path}:2:17: \"a.ply\": vertex 3 has texture coordinates that are not finite; such ones are taken as 0 0"
             ),
             format!(
                 "{path}:2:1: Shape \"plymesh\" of \"a.ply\": the normal of vertex 0 has no direction; the triangles \
@@ -440,6 +440,51 @@ fn every_value_of_camera_and_motion_is_read() {
         Vec3::new(5.5, 7.0, 8.5) + turn(30.0) * (positions[1] * Vec3::new(1.5, 2.0, 2.5)),
     );
     close(scene.lights[0].to_world.at(4.0).translation.into(), Vec3::new(5.5, 7.0, 8.5));
+}
+
+#[test]
+fn a_spectrum_may_be_a_file() {
+    let folder = Folder::new("spectrum");
+    folder.write("a.spd", b"# flat\n300 10\n800 10 # to the end\n");
+    let text = |name: &str| {
+        format!(
+            "Camera \"perspective\" WorldBegin LightSource \"point\" \"spectrum I\" \"{name}\" \"float scale\" 3\n\
+             Material \"conductor\" \"spectrum eta\" \"a.spd\""
+        )
+    };
+    let scene = load(&folder.write("scene.pbrt", text("a.spd").as_bytes())).unwrap().scene;
+    // An emission has luminance 1, whatever its values; an index keeps them.
+    let LightKind::Point { intensity } = scene.lights[0].kind else { panic!() };
+    assert!((crate::math::luminance(intensity) - 3.0).abs() < 1e-2, "{intensity}");
+    let Material::Conductor { color: ConductorColor::Complex { eta, .. }, .. } = scene.materials[0]
+    else {
+        panic!()
+    };
+    assert!(matches!(eta, Color::Constant(c) if (c - 10.0).abs().max_element() < 1e-5));
+    folder.write("b.spd", b"300 ten");
+    let error = load(&folder.write("scene.pbrt", text("b.spd").as_bytes())).unwrap_err();
+    assert!(
+        error.to_string().ends_with(
+            "scene.pbrt:1:53: \"b.spd\" holds more than numbers; allowed: wavelengths and values, comments after `#`"
+        ),
+        "{error}"
+    );
+}
+
+#[test]
+fn a_disk_with_a_hole_is_made_of_triangles() {
+    let (scene, warnings) =
+        world("Shape \"disk\" \"float radius\" 2 \"float innerradius\" 1.5 \"float height\" 3");
+    assert_eq!(warnings, ["scene.pbrt:3:33: the disk has a hole: triangles take its place"]);
+    let ring = mesh(&scene.objects[0].shapes[0]);
+    let areas = ring.triangles.iter().map(|t| {
+        let [a, b, c] = t.map(|i| ring.positions[i as usize]);
+        let cross = (b - a).cross(c - a);
+        assert!(cross.z > 0.0 && a.z == 3.0);
+        0.5 * cross.length()
+    });
+    let area: f32 = areas.sum();
+    assert!((area / (std::f32::consts::PI * (4.0 - 2.25)) - 1.0).abs() < 1e-3, "{area}");
 }
 
 #[test]

@@ -28,7 +28,7 @@ use glam::{DAffine3, DMat3, DMat4, DVec3, DVec4};
 
 use self::lexer::{Kind, Lexer, Token, number, shorten, unescape};
 use self::motion::Ctm;
-use self::params::{Param, Params, Place};
+use self::params::{Param, Params, Place, Type, Values};
 use super::{Encoding, Warnings, emits, gunzip, read};
 use crate::error::{Error, ErrorKind, Result, suggest};
 use crate::scene::{
@@ -241,7 +241,8 @@ impl Builder {
     fn run(&mut self, bytes: &[u8], path: Arc<Path>) -> Result<()> {
         let unpacked = gunzip(bytes).map_err(|e| e.with_path(&path))?;
         let bytes = unpacked.as_deref().unwrap_or(bytes);
-        let mut file = File::new(bytes, path.clone()).map_err(|e| e.with_path(&path))?;
+        let folder = self.folder.clone();
+        let mut file = File::new(bytes, path.clone(), folder).map_err(|e| e.with_path(&path))?;
         self.files.push(path.to_path_buf());
         loop {
             let token = file.next()?;
@@ -771,11 +772,13 @@ fn look_at(numbers: [f64; 9], place: &Place) -> Result<DAffine3> {
 struct File<'a> {
     lexer: Lexer<'a>,
     path: Arc<Path>,
+    /// Of the first file.
+    folder: PathBuf,
 }
 
 impl<'a> File<'a> {
-    fn new(bytes: &'a [u8], path: Arc<Path>) -> Result<Self> {
-        Ok(Self { lexer: Lexer::new(bytes)?, path })
+    fn new(bytes: &'a [u8], path: Arc<Path>, folder: PathBuf) -> Result<Self> {
+        Ok(Self { lexer: Lexer::new(bytes)?, path, folder })
     }
 
     fn place(&self, token: &Token<'_>) -> Place {
@@ -844,12 +847,37 @@ impl<'a> File<'a> {
         let mut list = Vec::new();
         while let token @ Token { kind: Kind::Quoted(_), .. } = self.peek()? {
             self.next()?;
-            list.push(
-                Param::parse(&mut self.lexer, token, &self.path)
-                    .map_err(|e| e.with_path(&self.path))?,
-            );
+            let mut param = Param::parse(&mut self.lexer, token, &self.path)
+                .map_err(|e| e.with_path(&self.path))?;
+            self.read_spectrum(&mut param)?;
+            list.push(param);
         }
         Ok((kind, list))
+    }
+
+    /// Puts the numbers of a file in the place of its name, where a spectrum is one: wavelengths
+    /// and values, `#` before comments.
+    fn read_spectrum(&self, param: &mut Param) -> Result<()> {
+        let (Type::Spectrum, Values::Strings(names)) = (param.kind, &param.values) else {
+            return Ok(());
+        };
+        let [name] = &names[..] else { return Ok(()) };
+        let beside = self.path.parent().unwrap_or(Path::new(""));
+        let known = ["glass-", "metal-", "stdillum-"].iter().any(|start| name.starts_with(start));
+        let paths = [&*self.folder, beside].map(|folder| folder.join(name));
+        let Some(path) = paths.iter().find(|path| !known && path.is_file()) else { return Ok(()) };
+        let bytes = read(path).map_err(|e| about_file(name, &param.place, e))?;
+        let text = String::from_utf8_lossy(&bytes);
+        let lines = text.lines().filter_map(|line| line.split('#').next());
+        let numbers: Option<Vec<f64>> = lines.flat_map(str::split_whitespace).map(number).collect();
+        let Some(numbers) = numbers else {
+            return param.place.invalid(format!(
+                "\"{}\" holds more than numbers; allowed: wavelengths and values, comments after `#`",
+                shorten(name)
+            ));
+        };
+        param.values = Values::Numbers(numbers);
+        Ok(())
     }
 
     /// A directive's kind and its parameters.

@@ -37,7 +37,7 @@ impl Builder {
             "plymesh" => Geometry::Mesh(Arc::new(self.ply_mesh(params)?)),
             "bilinearmesh" => Geometry::Mesh(Arc::new(self.bilinear_mesh(params)?)),
             "sphere" => sphere(params)?,
-            "disk" => disk(params)?,
+            "disk" => self.disk(params)?,
             other => {
                 return params.place.unsupported(format!(
                     "Shape \"{}\"; {}",
@@ -152,6 +152,35 @@ impl Builder {
         Ok(read.mesh)
     }
 
+    /// A disk, or the triangles of one with a hole.
+    fn disk(&mut self, params: &Params) -> Result<Geometry> {
+        let radius = params.positive_or("radius", 1.0)?;
+        let height = params.float_or("height", 0.0)?;
+        let inner = params.float_or("innerradius", 0.0)?;
+        full_circle(params)?;
+        let center = Vec3::new(0.0, 0.0, height as f32);
+        let whole = Geometry::Disk { center, normal: Vec3::Z, radius: radius as f32 };
+        if inner == 0.0 {
+            return Ok(whole);
+        }
+        let place = params.param_place("innerradius");
+        if !(0.0..radius).contains(&inner) {
+            return place.invalid(format!(
+                "`innerradius` is {inner}; allowed: from 0 to below `radius`, {radius}"
+            ));
+        }
+        self.warnings.add(format!("{place}: the disk has a hole: triangles take its place"));
+        let mut ring = tessellate(&whole);
+        // Two rings of vertices; the second one, all in the centre, becomes the edge of the hole.
+        for i in (1..ring.positions.len()).step_by(2) {
+            let rim = ring.positions[i - 1] - center;
+            ring.positions[i] = center + rim * (inner / radius) as f32;
+        }
+        let segments = 0..SEGMENTS as u32;
+        ring.triangles.extend(segments.map(|i| [2 * i + 2, 2 * i + 3, 2 * i + 1]));
+        Ok(Geometry::Mesh(Arc::new(ring)))
+    }
+
     /// Flat patches as two triangles each.
     fn bilinear_mesh(&mut self, params: &Params) -> Result<Mesh> {
         let positions = points(params, "P", &[Type::Point3])?.unwrap_or_default();
@@ -191,8 +220,8 @@ impl Builder {
 }
 
 impl Shape {
-    /// Makes vertex normals unit vectors, turned where asked. Triangles at a vertex whose normal has
-    /// no direction get their faces' own.
+    /// Makes vertex normals unit vectors, turned where asked. Triangles at a vertex whose normal
+    /// has no direction get their faces' own.
     fn set_normals(&mut self, reverse: bool) -> Option<normals::Lost> {
         let Geometry::Mesh(mesh) = &mut self.geometry else { return None };
         if mesh.normals.is_empty() {
@@ -292,23 +321,6 @@ fn sphere(params: &Params) -> Result<Geometry> {
     }
     full_circle(params)?;
     Ok(Geometry::Sphere { center: Vec3::ZERO, radius: radius as f32 })
-}
-
-fn disk(params: &Params) -> Result<Geometry> {
-    let radius = params.positive_or("radius", 1.0)?;
-    let height = params.float_or("height", 0.0)?;
-    let inner = params.float_or("innerradius", 0.0)?;
-    if inner != 0.0 {
-        return params
-            .param_place("innerradius")
-            .unsupported(format!("a disk with a hole of radius {inner}; allowed: 0"));
-    }
-    full_circle(params)?;
-    Ok(Geometry::Disk {
-        center: Vec3::new(0.0, 0.0, height as f32),
-        normal: Vec3::Z,
-        radius: radius as f32,
-    })
 }
 
 fn full_circle(params: &Params) -> Result<()> {

@@ -185,8 +185,8 @@ fn refusals_name_place_finding_and_what_is_allowed() {
             "scene.pbrt:2:16: `phimax` is 180; allowed: 360, the full turn",
         ),
         (
-            "\nShape \"disk\" \"float innerradius\" .5",
-            "scene.pbrt:2:14: a disk with a hole of radius 0.5; allowed: 0",
+            "\nShape \"disk\" \"float innerradius\" 1",
+            "scene.pbrt:2:14: `innerradius` is 1; allowed: from 0 to below `radius`, 1",
         ),
         ("\nShape \"trianglemesh\"", "scene.pbrt:2:1: a trianglemesh without `P`"),
         (
