@@ -34,8 +34,8 @@ pub(super) fn from_bytes(bytes: &[u8]) -> Result<Read> {
         .unwrap_or_else(|_| Err(Error::syntax("damaged PLY file: its parser failed")))
 }
 
-/// An ASCII file with a number beyond all f32 in the place of `nan` and `inf`, which the parser does
-/// not know; `None` where there are none.
+/// An ASCII file with a number beyond all f32 in the place of `nan` and `inf`, which the parser
+/// does not know; `None` where there are none.
 fn without_words(bytes: &[u8]) -> Option<Vec<u8>> {
     const END: &[u8] = b"end_header";
     let header = bytes.windows(END.len()).position(|window| window == END)? + END.len();

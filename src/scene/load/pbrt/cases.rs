@@ -475,7 +475,7 @@ fn a_spectrum_may_be_a_file() {
 fn a_disk_with_a_hole_is_made_of_triangles() {
     let (scene, warnings) =
         world("Shape \"disk\" \"float radius\" 2 \"float innerradius\" 1.5 \"float height\" 3");
-    assert_eq!(warnings, ["scene.pbrt:3:33: the disk has a hole: triangles take its place"]);
+    assert_eq!(warnings, ["scene.pbrt:3:31: the disk has a hole: triangles take its place"]);
     let ring = mesh(&scene.objects[0].shapes[0]);
     let areas = ring.triangles.iter().map(|t| {
         let [a, b, c] = t.map(|i| ring.positions[i as usize]);
