@@ -70,7 +70,7 @@ fn lit(
 ) -> Lit {
     let ray = world.scene.camera.rays(size).ray(position);
     let primary = Ray { origin: ray.origin, direction: ray.direction, t_max: f32::INFINITY };
-    let Some(hit) = world.accel.closest_hit(&primary, filter) else { return Lit::default() };
+    let Some(hit) = world.camera_hit_with(&primary, filter) else { return Lit::default() };
     let receiver = Receiver::new(world, hit, ray.direction, Time::Now);
     let bsdf = &receiver.surface().0.bsdf;
     let delta = (0..bsdf.lobe_count()).any(|lobe| bsdf.is_delta(lobe));

@@ -381,6 +381,11 @@ fn cold_at(cold: u32, primitive: u32) -> u32 {
     return cold + primitive * 6u;
 }
 
+//#if ONE_SIDED_SHAPES
+// Whether the search in progress is a camera ray's, which passes the backs of one-sided surfaces.
+var<private> passes_backs: bool = false;
+//#endif
+
 fn rank_before(w: u32, a: Hit, b: Hit) -> bool {
     let ca = geometry[cold_at(bottom_of_instance(w, a.instance).cold, a.primitive)];
     let cb = geometry[cold_at(bottom_of_instance(w, b.instance).cold, b.primitive)];
@@ -402,6 +407,11 @@ fn offer(s: ptr<function, Search>, t: f32, u: f32, v: f32, primitive: u32, insta
     if t == (*s).limit && (!(*s).found || !rank_before((*s).w, hit, (*s).best)) {
         return false;
     }
+    //#if ONE_SIDED_SHAPES
+    if ONE_SIDED_SHAPES && passes_backs && is_hidden_back((*s).w, (*s).caller, hit) {
+        return false;
+    }
+    //#endif
     //#if COVERAGE
     if COVERAGE && !covers((*s).w, (*s).caller, hit) {
         return false;

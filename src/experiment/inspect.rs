@@ -210,7 +210,7 @@ fn seen_surface(
 ) -> (std::result::Result<SeenSurface, Vec3>, Option<Receiver<'_>>) {
     let at = Vec2::new(pixel[0] as f32 + 0.5, pixel[1] as f32 + 0.5);
     let ray = world.scene.camera.rays(size).ray(at);
-    let hit = world.closest_hit(&Ray {
+    let hit = world.camera_hit(&Ray {
         origin: ray.origin,
         direction: ray.direction,
         t_max: f32::INFINITY,

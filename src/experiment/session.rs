@@ -106,7 +106,15 @@ impl Session {
     /// As [`load_scene`] and [`Session::new`].
     pub fn open(scene: &str, settings: &SessionSettings, host: Arc<dyn Host>) -> Result<Self> {
         let loaded = load_scene(scene, &*host)?;
-        Ok(Self { scene: scene.to_string(), ..Self::with_host(loaded, settings, host)? })
+        let depth = loaded.depth;
+        let session = Self { scene: scene.to_string(), ..Self::with_host(loaded, settings, host)? };
+        if settings.depth.is_none() && session.shot.depth < depth {
+            let used = session.shot.depth;
+            session.host.note(&format!(
+                "warning: {scene}: paths end after {used} segments, the file asks for {depth}; `depth` sets another limit"
+            ));
+        }
+        Ok(session)
     }
 
     /// A session whose host hears of progress and may stop it.

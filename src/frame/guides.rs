@@ -34,7 +34,7 @@ impl Guides {
             .map(|pixel| {
                 let at = Vec2::new((pixel % size[0]) as f32 + 0.5, (pixel / size[0]) as f32 + 0.5);
                 let ray = rays.ray(at);
-                let hit = world.closest_hit(&Ray {
+                let hit = world.camera_hit(&Ray {
                     origin: ray.origin,
                     direction: ray.direction,
                     t_max: f32::INFINITY,

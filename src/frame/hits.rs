@@ -26,7 +26,7 @@ pub(super) fn primary_hits(inputs: &FrameInputs<'_>, band: &mut Band<'_>) -> Cou
                     pixel / band.width,
                     0,
                 ));
-                let hit = world.accel.closest_hit(
+                let hit = world.camera_hit_with(
                     &Ray { origin: ray.origin, direction: ray.direction, t_max: f32::INFINITY },
                     &filter,
                 );

@@ -2,7 +2,7 @@
 
 fn primary_hits(pixel: u32, x: u32, y: u32) {
     let ray = camera_ray(inputs.camera, sample_position(inputs.frame, x, y, 0u));
-    let hit = closest_hit(NOW, ray);
+    let hit = camera_hit(NOW, ray);
     var seen: vec3f;
     if hit.primitive == MISS {
         seen = escaped_radiance(NOW, ray.direction);

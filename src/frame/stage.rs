@@ -53,9 +53,11 @@ impl Stage {
         let moving = scene.instances.iter().any(|instance| instance.to_world.moves());
         let two_level = options.two_level.or(moving.then_some(true));
         let first = World::new(scene.at(scene.time[0]), &BuildOptions { two_level, ..*options })?;
+        let mut counts = first.lights.counts();
+        counts.add_hidden(&scene);
         let [low, high] = bounds(&first.scene);
         let diagonal = (high - low).length();
-        let facts = SceneFacts { diagonal, ..SceneFacts::new(&scene, first.lights.counts()) };
+        let facts = SceneFacts { diagonal, ..SceneFacts::new(&scene, counts) };
         Ok(Self { scene: Arc::new(scene), facts, first: Arc::new(first) })
     }
 

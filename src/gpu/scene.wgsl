@@ -8,6 +8,7 @@ override COVERAGE: bool = true;
 override TEXTURES: bool = true;
 override ENVIRONMENTS: bool = true;
 override ANISOTROPIC: bool = true;
+override ONE_SIDED_SHAPES: bool = true;
 // Whether work is counted.
 override COUNT: bool = true;
 

@@ -66,6 +66,7 @@ pub(crate) struct SceneConstants {
     pub(crate) textures: bool,
     pub(crate) environments: bool,
     pub(crate) anisotropic: bool,
+    pub(crate) one_sided: bool,
     /// One bit a kind of material.
     pub(crate) materials: u32,
     /// Entries of a traversal's stack.
@@ -82,6 +83,7 @@ impl SceneConstants {
             textures: self.textures || other.textures,
             environments: self.environments || other.environments,
             anisotropic: self.anisotropic || other.anisotropic,
+            one_sided: self.one_sided || other.one_sided,
             materials: self.materials | other.materials,
             stack: self.stack.max(other.stack),
         }
@@ -96,6 +98,7 @@ impl SceneConstants {
             ("TEXTURES", flag(self.textures)),
             ("ENVIRONMENTS", flag(self.environments)),
             ("ANISOTROPIC", flag(self.anisotropic)),
+            ("ONE_SIDED_SHAPES", flag(self.one_sided)),
         ]
     }
 

@@ -493,7 +493,9 @@ impl Dynamic {
         record.shapes = words.at();
         for shape in &world.shapes {
             let alpha = shape.alpha.map_or([NONE, 0], |alpha| looks.places.scalar(alpha));
-            let flags = u32::from(shape.alpha.is_some()) | u32::from(shape.anisotropic) << 1;
+            let flags = u32::from(shape.alpha.is_some())
+                | u32::from(shape.anisotropic) << 1
+                | u32::from(shape.one_sided) << 2;
             words.put([looks.places.materials[shape.material.index()], alpha[0], alpha[1], flags]);
         }
         let lights = world.lights.export(&looks.places, &mut words);
@@ -569,6 +571,7 @@ fn needed(world: &World, statics: &Statics) -> SceneConstants {
         textures: statics.textured,
         environments: world.lights.environments().next().is_some(),
         anisotropic: world.shapes.iter().any(|shape| shape.anisotropic),
+        one_sided: world.has_one_sided,
         materials: statics.materials,
         stack: world.accel.stack_entries().max(emitters) as u32,
     }

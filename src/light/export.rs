@@ -13,6 +13,7 @@ const TWO_SIDED: u32 = 1;
 const HOLLOW: u32 = 2;
 const COVERAGE: u32 = 4;
 const TEXTURED: u32 = 8;
+const UNMET: u32 = 16;
 
 /// Where the parts of a table begin, in words.
 #[derive(Clone, Copy, Debug, Default)]
@@ -63,7 +64,9 @@ impl Lights {
             record[2..6].copy_from_slice(&names.color(light.radiance));
             record[6] = light.scale.to_bits();
             let flag = |holds: bool, bit: u32| if holds { bit } else { 0 };
-            let mut flags = flag(light.two_sided, TWO_SIDED) | flag(light.is_hollow(), HOLLOW);
+            let mut flags = flag(light.two_sided, TWO_SIDED)
+                | flag(light.is_hollow(), HOLLOW)
+                | flag(!light.met, UNMET);
             if let Some(coverage) = light.coverage {
                 flags |= COVERAGE;
                 record[7..9].copy_from_slice(&names.scalar(coverage));

@@ -17,6 +17,7 @@ const LIGHT_TWO_SIDED: u32 = 1u;
 const LIGHT_HOLLOW: u32 = 2u;
 const LIGHT_COVERAGE: u32 = 4u;
 const LIGHT_TEXTURED: u32 = 8u;
+const LIGHT_UNMET: u32 = 16u;
 
 // Kinds of emitter points.
 const ONE_SIDED: u32 = 0u;
@@ -25,6 +26,16 @@ const HOLLOW: u32 = 2u;
 const POINT_LIKE: u32 = 3u;
 const SPOT_LIKE: u32 = 4u;
 const INFINITE: u32 = 5u;
+const UNMET: u32 = 6u;
+
+fn has_surface(kind: u32) -> bool {
+    return kind <= HOLLOW || (COVERAGE && kind == UNMET);
+}
+
+// Whether no ray meets its surface; without coverage anywhere every surface is met.
+fn light_unmet(at: u32) -> bool {
+    return COVERAGE && (words[at + 1u] & LIGHT_UNMET) != 0u;
+}
 
 struct LightPoint {
     light: u32,
@@ -109,7 +120,7 @@ fn light_cap(at: u32, place: vec3f) -> vec4f {
         let radius = float_word(at + 22u);
         let flags = words[at + 1u];
         let outside = length_squared(place - center) > radius * radius * (1.0 + 16.0 * EPSILON);
-        if outside && (flags & (LIGHT_HOLLOW | LIGHT_COVERAGE)) != (LIGHT_HOLLOW | LIGHT_COVERAGE) {
+        if outside && !light_unmet(at) && (flags & (LIGHT_HOLLOW | LIGHT_COVERAGE)) != (LIGHT_HOLLOW | LIGHT_COVERAGE) {
             return vec4f(center, radius);
         }
     }
@@ -153,7 +164,8 @@ fn emitter_new(light: u32, position: vec3f, normal: vec3f, radiance: vec3f, kind
 }
 
 fn sphere_kind(at: u32) -> u32 {
-    return select(ONE_SIDED, HOLLOW, (words[at + 1u] & LIGHT_HOLLOW) != 0u);
+    let hollow = select(ONE_SIDED, HOLLOW, (words[at + 1u] & LIGHT_HOLLOW) != 0u);
+    return select(hollow, UNMET, light_unmet(at));
 }
 
 //#if QUADRICS
@@ -164,7 +176,8 @@ fn emitter_on_sphere(at: u32, light: u32, position: vec3f, normal: vec3f) -> Emi
 //#endif
 
 fn light_side(at: u32) -> u32 {
-    return select(ONE_SIDED, TWO_SIDED, (words[at + 1u] & LIGHT_TWO_SIDED) != 0u);
+    let side = select(ONE_SIDED, TWO_SIDED, (words[at + 1u] & LIGHT_TWO_SIDED) != 0u);
+    return select(side, UNMET, light_unmet(at));
 }
 
 // The light's side of a light point; not valid where it emits nothing.
@@ -246,6 +259,12 @@ fn emitter_facing(w: u32, emitter: EmitterPoint, place: vec3f) -> Facing {
     switch emitter.kind {
         case ONE_SIDED: { dark = cosine <= 0.0; }
         case TWO_SIDED: { dark = cosine == 0.0; }
+        //#if COVERAGE
+        case UNMET: {
+            let flags = words[light_at(w, emitter.light) + 1u];
+            dark = select(cosine <= 0.0, cosine == 0.0, (flags & LIGHT_TWO_SIDED) != 0u);
+        }
+        //#endif
         //#if QUADRICS
         case HOLLOW: {
             dark = hollow_is_dark(light_at(w, emitter.light), place, cosine);
@@ -280,10 +299,11 @@ fn emitter_towards(w: u32, emitter: EmitterPoint, place: vec3f) -> Arrival {
     if !facing.valid {
         return Arrival(vec3f(0.0), vec3f(0.0), 0.0, false);
     }
-    if emitter.kind <= HOLLOW {
+    if has_surface(emitter.kind) {
         let geometry_term = abs(facing.cosine) / facing.squared;
         let radiance = emitter.radiance * geometry_term;
-        return Arrival(facing.direction, radiance, geometry_term, !all_zero(radiance) && is_finite(geometry_term));
+        let met = select(geometry_term, 0.0, emitter.kind == UNMET);
+        return Arrival(facing.direction, radiance, met, !all_zero(radiance) && is_finite(geometry_term));
     }
     var share = 1.0;
     if emitter.kind == SPOT_LIKE {
@@ -375,7 +395,7 @@ fn light_sample_towards(w: u32, light: u32, place: vec3f, u: vec2f) -> Incident 
     if !incident.emitter.valid {
         return incident;
     }
-    if incident.emitter.kind <= HOLLOW {
+    if has_surface(incident.emitter.kind) {
         let facing = emitter_facing(w, incident.emitter, place);
         if !facing.valid {
             return incident;
@@ -383,7 +403,7 @@ fn light_sample_towards(w: u32, light: u32, place: vec3f, u: vec2f) -> Incident 
         incident.direction = facing.direction;
         incident.radiance = incident.emitter.radiance;
         incident.pdf = light_density_from(w, light, place, facing.squared, facing.cosine);
-        incident.delta = false;
+        incident.delta = incident.emitter.kind == UNMET;
         incident.valid = incident.pdf > 0.0 && is_finite(incident.pdf);
         return incident;
     }
@@ -409,7 +429,7 @@ fn shadow_end(w: u32, emitter: EmitterPoint, place: vec3f) -> vec4f {
     if emitter.kind == INFINITE {
         return vec4f(0.0);
     }
-    if emitter.kind >= POINT_LIKE {
+    if !has_surface(emitter.kind) {
         return vec4f(emitter.position, 1.0);
     }
     let side = copysign(1.0, dot3(place - emitter.position, emitter.normal));

@@ -30,7 +30,7 @@ pub use remap::LightRemap;
 
 use crate::accel::{MAX_COORDINATE, triangle_orientation};
 use crate::math::{Frame, luminance, warp};
-use crate::scene::{Color, Emission, Geometry, LightKind, Scalar, Scene, SpotFalloff};
+use crate::scene::{Color, Emission, Geometry, LightKind, Scalar, Scene, SpotFalloff, Transform};
 
 /// No light.
 pub const NO_LIGHT: u32 = u32::MAX;
@@ -54,7 +54,7 @@ pub struct Incident {
     /// Radiance towards the receiver; for point, spot and distant lights irradiance on a surface
     /// that faces them.
     pub radiance: Vec3,
-    /// Density per unit solid angle at the receiver, given the light; 1 where `delta`.
+    /// Density per unit solid angle at the receiver, given the light; 1 for lights without extent.
     pub pdf: f32,
     /// Whether no other technique can find this light.
     pub delta: bool,
@@ -108,6 +108,8 @@ struct Light {
     /// Of its surface, where it is not 1: what a ray that meets the surface passes through, its
     /// points do not send.
     coverage: Option<Scalar>,
+    /// Whether rays meet its surface: not where coverage is the number 0; it emits all the same.
+    met: bool,
     /// Texture coordinates of a triangle's corners, where its emission or coverage is textured.
     uvs: [Vec2; 3],
     /// Instance or light key, shape, element: the same for the same light in every frame.
@@ -121,12 +123,39 @@ pub struct LightCounts {
     pub triangles: u32,
     /// Emitting spheres and disks.
     pub quadrics: u32,
-    /// Point, spot and distant lights.
+    /// What no ray meets: point, spot and distant lights, emitting surfaces without coverage.
     pub delta: u32,
     /// Environments.
     pub environments: u32,
     /// Emitters that emit nothing: never drawn, never asked.
     pub black: u32,
+}
+
+impl LightCounts {
+    /// Counts the emitters that a scale of 0 hides at the first time of a scene, which may move:
+    /// later frames may show them.
+    pub fn add_hidden(&mut self, scene: &Scene) {
+        let hidden = |to_world: &Transform| to_world.shown_at(scene.time[0]).is_none();
+        for instance in scene.instances.iter().filter(|i| hidden(&i.to_world)) {
+            for shape in &scene.objects[instance.object.index()].shapes {
+                match &shape.geometry {
+                    _ if shape.emission.is_none() => {}
+                    Geometry::Mesh(mesh) if shape.is_unmet() => {
+                        self.delta += mesh.triangles.len() as u32;
+                    }
+                    _ if shape.is_unmet() => self.delta += 1,
+                    Geometry::Mesh(mesh) => self.triangles += mesh.triangles.len() as u32,
+                    _ => self.quadrics += 1,
+                }
+            }
+        }
+        for light in scene.lights.iter().filter(|l| hidden(&l.to_world)) {
+            match light.kind {
+                LightKind::Environment { .. } => self.environments += 1,
+                _ => self.delta += 1,
+            }
+        }
+    }
 }
 
 /// All lights of a scene at one time.
@@ -155,11 +184,13 @@ impl Lights {
                     lights.first_of_shape.push(NO_LIGHT);
                     continue;
                 };
-                lights.first_of_shape.push(lights.lights.len() as u32);
+                let met = !shape.is_unmet();
+                let first = if met { lights.lights.len() as u32 } else { NO_LIGHT };
+                lights.first_of_shape.push(first);
                 let sides = if emission.two_sided { 2.0 } else { 1.0 };
                 let flip = if shape.reverse_orientation { -1.0 } else { 1.0 };
                 let whole = |alpha: &Scalar| matches!(alpha, Scalar::Constant(a) if *a >= 1.0);
-                let coverage = shape.alpha.filter(|alpha| !whole(alpha));
+                let coverage = shape.alpha.filter(|alpha| met && !whole(alpha));
                 let mut push = |surface, uvs, element: u64, mean: f32| {
                     lights.lights.push(Light {
                         surface,
@@ -167,6 +198,7 @@ impl Lights {
                         scale: emission.scale,
                         two_sided: emission.two_sided,
                         coverage,
+                        met,
                         uvs,
                         key: [instance.key, (number as u64) << 32 | element],
                     });
@@ -267,6 +299,7 @@ impl Lights {
                 scale: 1.0,
                 two_sided: true,
                 coverage: None,
+                met: false,
                 uvs: DEFAULT_UVS,
                 key: [light.key, u64::MAX],
             });
@@ -275,9 +308,10 @@ impl Lights {
         for (light, power) in lights.lights.iter().zip(&powers) {
             let count = match light.surface {
                 _ if *power <= 0.0 => &mut lights.counts.black,
+                Surface::Environment { .. } => &mut lights.counts.environments,
+                _ if !light.met => &mut lights.counts.delta,
                 Surface::Triangle { .. } => &mut lights.counts.triangles,
                 Surface::Sphere { .. } | Surface::Disk { .. } => &mut lights.counts.quadrics,
-                Surface::Environment { .. } => &mut lights.counts.environments,
                 _ => &mut lights.counts.delta,
             };
             *count += 1;
@@ -324,7 +358,7 @@ impl Lights {
         self.lights[light as usize].key
     }
 
-    /// First light of every emitting shape, in order.
+    /// First light of every emitting shape that rays meet, in order.
     pub(crate) fn firsts(&self) -> Vec<u32> {
         self.first_of_shape.iter().copied().filter(|first| *first != NO_LIGHT).collect()
     }
@@ -484,12 +518,14 @@ fn sample_sphere_cone(from: Vec3, center: Vec3, radius: f32, u: Vec2) -> Option<
 impl Light {
     /// Centre and radius of a sphere that `from` sees from outside, so that points are drawn on the
     /// cap that faces it, in the cone it fills. `None` where points are drawn by area: on other
-    /// shapes, from inside, and where the far cap's inside shines through holes in the near one.
+    /// shapes, from inside, where the far cap's inside shines through holes in the near one, and
+    /// where no ray meets either.
     #[inline]
     fn cap(&self, from: Vec3) -> Option<(Vec3, f32)> {
         match self.surface {
             Surface::Sphere { center, radius, .. }
-                if outside_sphere(from, center, radius)
+                if self.met
+                    && outside_sphere(from, center, radius)
                     && (self.coverage.is_none() || !self.is_hollow()) =>
             {
                 Some((center, radius))

@@ -33,6 +33,14 @@ mod kind {
     pub(super) const SPOT: u32 = 4;
     /// From infinity.
     pub(super) const INFINITE: u32 = 5;
+    /// From a surface that no ray meets, from one side or both.
+    pub(super) const UNMET: u32 = 6;
+
+    /// Whether it lies on a surface.
+    #[inline(always)]
+    pub(super) fn has_surface(kind: u32) -> bool {
+        kind <= HOLLOW || kind == UNMET
+    }
 }
 
 /// A light point in world space without a receiver: 44 bytes, so that a pass can prepare many.
@@ -83,13 +91,21 @@ impl Light {
             _ => 1.0,
         };
         let radiance = self.sent(scene, self.uv_on_sphere(normal));
-        let kind = if self.is_hollow() { kind::HOLLOW } else { kind::ONE_SIDED };
+        let kind = match self.side() {
+            kind::UNMET => kind::UNMET,
+            _ if self.is_hollow() => kind::HOLLOW,
+            _ => kind::ONE_SIDED,
+        };
         EmitterPoint::new(light, position, normal * outward, radiance, kind)
     }
 
     #[inline]
     fn side(&self) -> u32 {
-        if self.two_sided { kind::TWO_SIDED } else { kind::ONE_SIDED }
+        match (self.met, self.two_sided) {
+            (false, _) => kind::UNMET,
+            (true, true) => kind::TWO_SIDED,
+            (true, false) => kind::ONE_SIDED,
+        }
     }
 }
 
@@ -128,6 +144,8 @@ impl EmitterPoint {
             kind::ONE_SIDED => cos <= 0.0,
             kind::TWO_SIDED => cos == 0.0,
             kind::HOLLOW => lights.hollow_is_dark(self.light, from, cos),
+            kind::UNMET if lights.lights[self.light as usize].two_sided => cos == 0.0,
+            kind::UNMET => cos <= 0.0,
             _ => false,
         };
         (!dark).then_some(Facing { direction, squared, cos })
@@ -144,13 +162,13 @@ impl EmitterPoint {
             return Some(Arrival { direction, radiance, geometry });
         }
         let Facing { direction, squared, cos } = self.facing(lights, from)?;
-        if self.kind <= kind::HOLLOW {
+        if kind::has_surface(self.kind) {
             let geometry = cos.abs() / squared;
             let radiance = radiance * geometry;
             return (radiance != Vec3::ZERO && geometry.is_finite()).then_some(Arrival {
                 direction,
                 radiance,
-                geometry,
+                geometry: if self.kind == kind::UNMET { 0.0 } else { geometry },
             });
         }
         let share =
@@ -251,7 +269,7 @@ impl EmitterPoints {
         let kept = |x: Lanes| lit.select(x, Lanes::ZERO);
         let geometry = bare.select(Lanes::ZERO, kept(factor));
         let mut all = Arrivals { direction, radiance: radiance.map(kept), geometry };
-        let others = kinds(kind::HOLLOW).or(kinds(kind::INFINITE));
+        let others = Mask::of(|i| self.kind[i] == kind::HOLLOW || self.kind[i] >= kind::INFINITE);
         if others.any() {
             for lane in (0..LANES).filter(|lane| others.get(*lane)) {
                 let (direction, radiance, geometry) = match self.get(lane).towards(lights, from) {
@@ -419,7 +437,7 @@ impl Lights {
         u: Vec2,
     ) -> Option<Incident> {
         let emitter = self.emitter_towards(scene, light, from, u)?;
-        if emitter.kind <= kind::HOLLOW {
+        if kind::has_surface(emitter.kind) {
             let Facing { direction, squared, cos } = emitter.facing(self, from)?;
             let pdf = self.density_from(light, from, squared, cos);
             // Per solid angle the geometry stands in the density, not in the radiance.
@@ -430,7 +448,7 @@ impl Lights {
                 end,
                 radiance,
                 pdf,
-                delta: false,
+                delta: emitter.kind == kind::UNMET,
             });
         }
         let Arrival { direction, radiance, .. } = emitter.towards(self, from)?;
@@ -540,7 +558,7 @@ mod tests {
     use super::*;
     use crate::math::rng::{RandomSource, Stream};
     use crate::scene::{
-        Color, Geometry, Light, LightKind, Material, Mesh, Shape, SpotFalloff, Transform,
+        Color, Geometry, Light, LightKind, Material, Mesh, Scalar, Shape, SpotFalloff, Transform,
     };
     use crate::world::bounds;
 
@@ -632,12 +650,42 @@ mod tests {
         assert!(met.iter().all(|&n| n > 100), "{met:?}");
     }
 
+    /// Lights of one object, of one shape, of several instances and of none all have keys of their
+    /// own: reuse finds them again by these.
+    #[test]
+    fn every_light_has_a_key_of_its_own() {
+        let mut scene = scene();
+        let mut object = crate::scene::Object::default();
+        for number in [0, 0, 1, 2] {
+            let mut shape = scene.objects[number].shapes[0].clone();
+            if let Geometry::Mesh(mesh) = &mut shape.geometry {
+                let mesh = Arc::make_mut(mesh);
+                mesh.triangles = vec![[0, 1, 2], [2, 1, 0]];
+            }
+            object.shapes.push(shape);
+        }
+        let object = scene.add_object(object);
+        for key in [0xFFFF_FFFF, 1 << 40] {
+            scene.add_instance(object, Transform::IDENTITY, key);
+        }
+        let lights = Lights::build(&scene, bounds(&scene));
+        let keys: std::collections::BTreeSet<[u64; 2]> =
+            (0..lights.len() as u32).map(|light| lights.key(light)).collect();
+        assert_eq!((lights.len(), keys.len()), (3 + 2 * 6 + 4, 19));
+    }
+
     #[test]
     fn eight_side_by_side_have_the_bits_of_each() {
         let mut scene = scene();
-        for (two_sided, inward) in [(true, false), (false, true)] {
+        for (two_sided, inward, alpha) in [
+            (true, false, None),
+            (false, true, None),
+            (true, false, Some(Scalar::Constant(0.0))),
+            (false, true, Some(Scalar::Constant(0.0))),
+        ] {
             for mut shape in [0, 1, 2].map(|object: usize| scene.objects[object].shapes[0].clone())
             {
+                shape.alpha = alpha;
                 shape.reverse_orientation = inward;
                 shape.emission.as_mut().unwrap().two_sided = two_sided;
                 scene.add_shape(shape);
@@ -652,8 +700,8 @@ mod tests {
 
         let mut random = Stream::from_key(5);
         // Of each kind of point: how many send nothing, how many something.
-        let mut met = [[0; 2]; 6];
-        for round in 0..4000 {
+        let mut met = [[0; 2]; 7];
+        for round in 0..6000 {
             let points: [_; LANES] = from_fn(|_| {
                 let light = (random.uniform() * lights.len() as f32) as u32;
                 let uv = Vec2::new(random.uniform(), random.uniform());
@@ -684,7 +732,7 @@ mod tests {
         }
         for (kind, [dark, lit]) in met.into_iter().enumerate() {
             assert!(
-                lit > 100 && (dark > 100 || kind >= kind::POINT as usize),
+                lit > 100 && (dark > 100 || !kind::has_surface(kind as u32)),
                 "{kind}: {dark}, {lit}"
             );
         }

@@ -122,6 +122,30 @@ mod tests {
         Image { width: 2, height: 1, data: ImageData::Float(vec![[0.0; 4], [1.0; 4]]) }
     }
 
+    /// Half-way over each edge lies the mean of the border and of what the mode puts beyond it.
+    #[test]
+    fn every_mode_at_every_edge() {
+        let pixels = [1.0, 2.0, 4.0, 8.0].map(|v| [v; 4]);
+        let image = Image { width: 2, height: 2, data: ImageData::Float(pixels.to_vec()) };
+        // Left, right, upper and lower edge, at the centre of the first row or column.
+        let edges = [[0.0, 0.25], [1.0, 0.25], [0.25, 0.0], [0.25, 1.0]].map(Vec2::from);
+        for (wrap, expected) in [
+            (Wrap::Repeat, [1.5, 1.5, 2.5, 2.5]),
+            (Wrap::Clamp, [1.0, 2.0, 1.0, 4.0]),
+            (Wrap::Mirror, [1.0, 2.0, 1.0, 4.0]),
+            (Wrap::Black, [0.5, 1.0, 0.5, 2.0]),
+        ] {
+            // A little inside and, where what is beyond does not jump, outside.
+            for inside in [0.999_999, 1.0, 1.000_001] {
+                let middle = Vec2::splat(0.5);
+                let found = edges.map(|at| image.bilinear(middle + (at - middle) * inside, wrap).x);
+                for (found, expected) in found.into_iter().zip(expected) {
+                    assert!((found - expected).abs() < 1e-4, "{wrap:?}: {found} {expected}");
+                }
+            }
+        }
+    }
+
     #[test]
     fn pixel_centres_are_exact_and_wrap_modes_differ_outside() {
         let image = ramp();

@@ -65,7 +65,8 @@ pub enum Material {
         specular_color: Color,
         /// Share of the dielectric's diffuse part that goes straight through (thin-walled).
         transmission: Scalar,
-        /// Whether the back reflects too.
+        /// Whether the back reflects too. If not, it is black, and camera rays pass it: light is
+        /// stopped by it, pictures are not.
         double_sided: bool,
     },
     /// The weighted union of two materials' lobes; neither may be a mix.

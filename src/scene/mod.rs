@@ -21,7 +21,7 @@ pub mod load;
 mod material;
 mod shape;
 mod texture;
-mod transform;
+pub(crate) mod transform;
 mod validate;
 
 use std::sync::Arc;
@@ -150,6 +150,21 @@ impl Scene {
         self.add_instance(object, Transform::IDENTITY, self.instances.len() as u64);
     }
 
+    /// Whether a material has no back: glTF's surfaces that are not double-sided, and mixes of two
+    /// such. Camera rays pass such backs; all other rays meet them, and find them black.
+    #[must_use]
+    pub fn is_one_sided(&self, id: MaterialId) -> bool {
+        match self.materials[id.index()] {
+            Material::MetallicRoughness { double_sided, .. } => !double_sided,
+            // Parts of a mix are not mixes, as validation checks.
+            Material::Mix { first, second, .. } => [first, second].iter().all(|part| {
+                let part = &self.materials[part.index()];
+                matches!(part, Material::MetallicRoughness { double_sided: false, .. })
+            }),
+            _ => false,
+        }
+    }
+
     /// Whether the camera, an instance or a light moves.
     #[must_use]
     pub fn moves(&self) -> bool {
@@ -158,19 +173,23 @@ impl Scene {
             || self.lights.iter().any(|l| l.to_world.moves())
     }
 
-    /// The scene at `time` seconds, clamped to [`Scene::time`]: every transform is fixed. Geometry
-    /// and images are shared, not copied.
+    /// The scene at `time` seconds, clamped to [`Scene::time`]: every transform is fixed, and
+    /// instances and lights whose scale is 0 at that time are left out. Geometry and images are
+    /// shared, not copied.
     #[must_use]
     pub fn at(&self, time: f32) -> Self {
         let time = time.clamp(self.time[0], self.time[1]);
         let mut scene = self.clone();
         scene.camera.to_world = Transform::Fixed(self.camera.to_world.at(time));
-        for instance in &mut scene.instances {
-            instance.to_world = Transform::Fixed(instance.to_world.at(time));
-        }
-        for light in &mut scene.lights {
-            light.to_world = Transform::Fixed(light.to_world.at(time));
-        }
+        let fix = |to_world: &mut Transform| match to_world.shown_at(time) {
+            Some(now) => {
+                *to_world = Transform::Fixed(now);
+                true
+            }
+            None => false,
+        };
+        scene.instances.retain_mut(|instance| fix(&mut instance.to_world));
+        scene.lights.retain_mut(|light| fix(&mut light.to_world));
         scene
     }
 }

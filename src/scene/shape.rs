@@ -62,7 +62,9 @@ pub struct Shape {
     pub material: MaterialId,
     /// What it emits.
     pub emission: Option<Emission>,
-    /// Coverage in [0, 1]; `None` is 1. A ray passes with probability 1 − alpha.
+    /// Coverage in [0, 1]; `None` is 1. A ray passes with probability 1 − alpha, and an emitter
+    /// sends alpha times its radiance; but where it is the number 0 all of it: such an emitter
+    /// lights and is never seen (as in pbrt-v4).
     pub alpha: Option<Scalar>,
     /// Whether the geometric normal is turned around (pbrt's `ReverseOrientation`). Of no effect on
     /// a mesh with vertex normals: there the geometric normal points to their side.
@@ -74,6 +76,13 @@ impl Shape {
     #[must_use]
     pub fn new(geometry: Geometry, material: MaterialId) -> Self {
         Self { geometry, material, emission: None, alpha: None, reverse_orientation: false }
+    }
+
+    /// Whether no ray ever meets it: its coverage is the number 0.
+    #[inline]
+    #[must_use]
+    pub fn is_unmet(&self) -> bool {
+        matches!(self.alpha, Some(Scalar::Constant(alpha)) if alpha <= 0.0)
     }
 
     /// The same shape as a one-sided emitter.

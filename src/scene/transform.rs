@@ -106,6 +106,16 @@ impl Transform {
         }
     }
 
+    /// The placement at `time` seconds; `None` while a scale of 0, which a curve may pass through,
+    /// hides what is placed.
+    #[must_use]
+    pub fn shown_at(&self, time: f32) -> Option<Affine3A> {
+        match self {
+            Self::Fixed(affine) => Some(*affine),
+            Self::Chain(_) => Some(self.at(time)).filter(is_regular),
+        }
+    }
+
     /// The placement of a scene that [`super::Scene::at`] returned.
     ///
     /// # Panics
@@ -120,6 +130,17 @@ impl Transform {
             }
         }
     }
+}
+
+/// Whether a placement can be inverted. Relative to the columns' lengths, so that a scene in any
+/// unit passes.
+pub(crate) fn is_regular(affine: &Affine3A) -> bool {
+    let m = [affine.matrix3.x_axis, affine.matrix3.y_axis, affine.matrix3.z_axis]
+        .map(|c| Vec3::from(c).as_dvec3());
+    let volume: f64 = m.iter().map(|c| c.length()).product();
+    let determinant = m[0].dot(m[1].cross(m[2]));
+    // Below it, a normal's direction drowns in the rounding of the matrix.
+    affine.is_finite() && affine.inverse().is_finite() && determinant.abs() > 1e-12 * volume
 }
 
 #[cfg(test)]

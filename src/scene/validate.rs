@@ -4,6 +4,7 @@ use std::collections::HashSet;
 
 use glam::{Affine3A, Vec3};
 
+use super::transform::is_regular;
 use super::{
     Color, ConductorColor, Emission, Geometry, ImageData, LightKind, Material, Mesh, Roughness,
     Scalar, Scene, Shape, TextureKind, Track, Transform,
@@ -287,7 +288,7 @@ impl Scene {
         let mut keys = HashSet::new();
         for (i, instance) in self.instances.iter().enumerate() {
             let checked = index("object", instance.object.0, self.objects.len())
-                .and_then(|()| placement(&instance.to_world));
+                .and_then(|()| placement_or_hidden(&instance.to_world, true));
             checked.map_err(|what| invalid(format!("instance {i}"), &what))?;
             if !keys.insert(instance.key) {
                 return Err(invalid(
@@ -305,19 +306,20 @@ impl Scene {
             let emission = |value: Vec3| {
                 value.to_array().into_iter().try_for_each(|v| range("emission", v, 0.0, f32::MAX))
             };
-            let checked = placement(&light.to_world).and_then(|()| match light.kind {
-                LightKind::Point { intensity } => emission(intensity),
-                LightKind::Spot { intensity, cos_inner, cos_outer, falloff: _ } => {
-                    emission(intensity)?;
-                    range("cos_outer", cos_outer, -1.0, 1.0)?;
-                    range("cos_inner", cos_inner, cos_outer, 1.0)
-                }
-                LightKind::Distant { irradiance } => emission(irradiance),
-                LightKind::Environment { radiance, image } => {
-                    emission(radiance)?;
-                    image.map_or(Ok(()), |(id, _)| index("image", id.0, self.images.len()))
-                }
-            });
+            let checked =
+                placement_or_hidden(&light.to_world, true).and_then(|()| match light.kind {
+                    LightKind::Point { intensity } => emission(intensity),
+                    LightKind::Spot { intensity, cos_inner, cos_outer, falloff: _ } => {
+                        emission(intensity)?;
+                        range("cos_outer", cos_outer, -1.0, 1.0)?;
+                        range("cos_inner", cos_inner, cos_outer, 1.0)
+                    }
+                    LightKind::Distant { irradiance } => emission(irradiance),
+                    LightKind::Environment { radiance, image } => {
+                        emission(radiance)?;
+                        image.map_or(Ok(()), |(id, _)| index("image", id.0, self.images.len()))
+                    }
+                });
             checked.map_err(|what| invalid(format!("light {i}"), &what))?;
             if !keys.insert(light.key) {
                 return Err(invalid(
@@ -402,6 +404,11 @@ fn validate_mesh(mesh: &Mesh) -> std::result::Result<(), String> {
 
 /// Finite and invertible, at the ends and at every key.
 fn placement(transform: &Transform) -> std::result::Result<(), String> {
+    placement_or_hidden(transform, false)
+}
+
+/// As [`placement`]; what moves may be hidden by a scale that is or passes 0.
+fn placement_or_hidden(transform: &Transform, hides: bool) -> std::result::Result<(), String> {
     match transform {
         Transform::Fixed(affine) => regular(affine),
         Transform::Chain(tracks) => tracks.iter().try_for_each(|track| match track {
@@ -415,18 +422,13 @@ fn placement(transform: &Transform) -> std::result::Result<(), String> {
                         .iter()
                         .map(|k| (k.0, (k.1.length() - 1.0).abs() <= UNIT_TOLERANCE)),
                 )?;
-                keys(
-                    "scale",
-                    scale
-                        .keys
-                        .iter()
-                        .map(|k| (k.0, k.1.is_finite() && k.1.abs().min_element() > 0.0)),
-                )?;
+                let fits = |s: Vec3| s.is_finite() && (hides || s.abs().min_element() > 0.0);
+                keys("scale", scale.keys.iter().map(|k| (k.0, fits(k.1))))?;
                 let turns = scale
                     .keys
                     .windows(2)
                     .any(|w| (w[0].1.signum() * w[1].1.signum()).min_element() < 0.0);
-                if turns {
+                if turns && !hides {
                     Err("a scale that changes its sign; allowed: one sign along each axis"
                         .to_string())
                 } else {
@@ -459,14 +461,8 @@ fn keys(name: &str, keys: impl Iterator<Item = (f32, bool)>) -> std::result::Res
     }
 }
 
-/// Relative to the columns' lengths, so that a scene in any unit passes.
 fn regular(affine: &Affine3A) -> std::result::Result<(), String> {
-    let m = [affine.matrix3.x_axis, affine.matrix3.y_axis, affine.matrix3.z_axis]
-        .map(|c| Vec3::from(c).as_dvec3());
-    let volume: f64 = m.iter().map(|c| c.length()).product();
-    let determinant = m[0].dot(m[1].cross(m[2]));
-    // Below it, a normal's direction drowns in the rounding of the matrix.
-    if affine.is_finite() && affine.inverse().is_finite() && determinant.abs() > 1e-12 * volume {
+    if is_regular(affine) {
         return Ok(());
     }
     Err(format!(
@@ -612,9 +608,27 @@ mod tests {
         };
         let mirrored = curve(vec![(0.0, Vec3::ONE), (1.0, Vec3::NEG_ONE)]);
         assert!(
-            message(|s| s.instances[0].to_world = chain(mirrored.clone()))
-                .contains("changes its sign")
+            message(|s| s.camera.to_world = chain(mirrored.clone())).contains("changes its sign")
         );
+        // A scale of 0 hides an instance, and leaves a camera without directions.
+        let vanishing = curve(vec![(0.0, Vec3::ONE), (1.0, Vec3::ZERO)]);
+        assert!(
+            message(|s| s.camera.to_world = chain(vanishing.clone()))
+                .contains("cannot be inverted")
+        );
+        for scale in [mirrored, vanishing] {
+            let mut scene = scene();
+            scene.time = [0.0, 1.0];
+            scene.instances[0].to_world = chain(scale);
+            scene.validate().unwrap();
+            let shown = [0.0, 0.25, 0.5, 1.0].map(|time| {
+                let now = scene.at(time);
+                now.validate().unwrap();
+                now.instances.len() == scene.instances.len()
+            });
+            let half = scene.instances[0].to_world.at(0.5).matrix3.x_axis.x;
+            assert_eq!(shown, [true, true, half != 0.0, half == 0.0]);
+        }
         let backward = curve(vec![(1.0, Vec3::ONE), (0.0, Vec3::ONE)]);
         assert!(
             message(|s| s.instances[0].to_world = chain(backward.clone()))

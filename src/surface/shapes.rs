@@ -16,6 +16,8 @@ pub struct ShapeInfo {
     pub emits: bool,
     /// Whether its scattering depends on the direction of its texture's axes.
     pub anisotropic: bool,
+    /// Whether camera rays pass its back.
+    pub one_sided: bool,
 }
 
 /// The scene's shapes by running number.
@@ -29,6 +31,7 @@ pub fn placed_shapes(scene: &Scene) -> Vec<ShapeInfo> {
             alpha: shape.alpha.filter(|alpha| !matches!(alpha, Scalar::Constant(a) if *a >= 1.0)),
             emits: shape.emission.is_some(),
             anisotropic: anisotropic(scene, &scene.materials[shape.material.index()]),
+            one_sided: scene.is_one_sided(shape.material),
         })
         .collect()
 }

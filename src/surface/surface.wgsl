@@ -4,6 +4,7 @@
 const SHAPE: u32 = 4u;
 const SHAPE_COVERAGE: u32 = 1u;
 const SHAPE_ANISOTROPIC: u32 = 2u;
+const SHAPE_ONE_SIDED: u32 = 4u;
 
 struct SurfacePoint {
     position: vec3f,
@@ -62,4 +63,30 @@ fn covers(w: u32, ray: Ray, hit: Hit) -> bool {
         bitcast<u32>(hit.t) ^ hit.primitive,
     )).x;
     return unit_float(word) < alpha;
+}
+
+//#if ONE_SIDED_SHAPES
+// Whether a ray meets the back of a one-sided surface.
+fn is_hidden_back(w: u32, ray: Ray, hit: Hit) -> bool {
+    let shape = inputs.worlds[w].shapes + shape_of(w, hit).x * SHAPE;
+    return (words[shape + 3u] & SHAPE_ONE_SIDED) != 0u
+        && dot3(ray.direction, point_at(w, hit).geometric_normal) > 0.0;
+}
+//#endif
+
+// The nearest surface that is seen along a ray from the camera, which passes the backs of one-sided
+// surfaces.
+fn camera_hit(w: u32, ray: Ray) -> Hit {
+    //#if ONE_SIDED_SHAPES
+    let hit = closest_hit(w, ray);
+    if ONE_SIDED_SHAPES && hit.primitive != MISS && is_hidden_back(w, ray, hit) {
+        passes_backs = true;
+        let behind = closest_hit(w, ray);
+        passes_backs = false;
+        return behind;
+    }
+    return hit;
+    //#else
+    return closest_hit(w, ray);
+    //#endif
 }

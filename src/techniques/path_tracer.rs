@@ -152,7 +152,7 @@ impl PathTracer {
                             direction: ray.direction,
                             t_max: f32::INFINITY,
                         };
-                        let Some(hit) = inputs.world.accel.closest_hit(&primary, filter) else {
+                        let Some(hit) = inputs.world.camera_hit_with(&primary, filter) else {
                             direct += inputs.world.escaped_radiance(ray.direction);
                             continue;
                         };

@@ -13,7 +13,7 @@ fn paths(pixel: u32, x: u32, y: u32) {
         var hit: Hit;
         if box_filter {
             count(PRIMARY_RAYS, 1u);
-            hit = closest_hit(NOW, ray);
+            hit = camera_hit(NOW, ray);
             if hit.primitive == MISS {
                 seen += escaped_radiance(NOW, ray.direction);
             } else {

@@ -10,7 +10,7 @@ use glam::{Vec3, Vec3A};
 use crate::accel::{Accel, AcceptAll, BuildOptions, Hit, HitFilter, HitPoint, MAX_COORDINATE, Ray};
 use crate::error::Result;
 use crate::light::{LightPoint, Lights};
-use crate::scene::{Geometry, LightKind, Object, ObjectId, Scene};
+use crate::scene::{Geometry, LightKind, Object, ObjectId, Scene, Shape};
 use crate::surface::{AlphaMask, ShapeInfo, SurfacePoint, placed_shapes};
 
 pub use motion::{InstanceRemap, Motion};
@@ -41,13 +41,16 @@ pub struct World {
     pub shapes: Vec<ShapeInfo>,
     /// Whether any shape lets rays through by its coverage.
     pub has_alpha: bool,
+    /// Whether camera rays pass the back of any shape.
+    pub has_one_sided: bool,
     /// Whether the camera alone may have changed since the world that this one was made from.
     pub(crate) only_camera: bool,
     emitters: OnceLock<(Arc<Emitters>, bool)>,
     built: Built,
 }
 
-/// The surfaces that emit, without all others: what a ray would meet if nothing stood in between.
+/// The surfaces that emit and that rays meet, without all others: what a ray would meet if nothing
+/// stood in between.
 #[derive(Clone, Debug)]
 pub struct Emitters {
     accel: Accel,
@@ -60,8 +63,8 @@ impl Emitters {
         let mut only = Scene::new("emitters");
         for instance in &scene.instances {
             let object = &scene.objects[instance.object.index()];
-            let shapes: Vec<_> =
-                object.shapes.iter().filter(|shape| shape.emission.is_some()).cloned().collect();
+            let met = |shape: &&Shape| shape.emission.is_some() && !shape.is_unmet();
+            let shapes: Vec<_> = object.shapes.iter().filter(met).cloned().collect();
             if !shapes.is_empty() {
                 only.objects.push(Arc::new(Object { name: String::new(), shapes }));
                 let id = ObjectId(only.objects.len() as u32 - 1);
@@ -151,6 +154,7 @@ impl World {
     fn with(scene: Scene, accel: Accel, lights: Arc<Lights>) -> Self {
         let shapes = placed_shapes(&scene);
         let has_alpha = shapes.iter().any(|shape| shape.alpha.is_some());
+        let has_one_sided = shapes.iter().any(|shape| shape.one_sided);
         let built = Built {
             trees: accel.report().built as u32,
             instance_trees: u32::from(accel.report().two_level),
@@ -163,6 +167,7 @@ impl World {
             lights,
             shapes,
             has_alpha,
+            has_one_sided,
             only_camera: false,
             emitters: OnceLock::new(),
             built,
@@ -215,6 +220,48 @@ impl World {
         } else {
             self.accel.closest_hit(ray, &AcceptAll)
         }
+    }
+
+    /// The nearest surface that is seen along a ray from the camera: such a ray passes the backs of
+    /// one-sided surfaces ([`Scene::is_one_sided`]), which all other rays meet, and find black.
+    #[must_use]
+    pub fn camera_hit(&self, ray: &Ray) -> Option<Hit> {
+        if self.has_alpha {
+            self.camera_hit_with(ray, &self.alpha_mask())
+        } else {
+            self.camera_hit_with(ray, &AcceptAll)
+        }
+    }
+
+    /// As [`World::camera_hit`], of what `filter` accepts.
+    #[inline]
+    #[must_use]
+    pub fn camera_hit_with<F: HitFilter>(&self, ray: &Ray, filter: &F) -> Option<Hit> {
+        let hit = self.accel.closest_hit(ray, filter)?;
+        if !self.has_one_sided || !self.is_hidden_back(ray, &hit) {
+            return Some(hit);
+        }
+        self.camera_hit_behind(ray, filter)
+    }
+
+    /// The nearest hit that is no hidden back.
+    #[inline(never)]
+    fn camera_hit_behind<F: HitFilter>(&self, ray: &Ray, filter: &F) -> Option<Hit> {
+        struct Fronts<'a, F>(&'a World, &'a F);
+        impl<F: HitFilter> HitFilter for Fronts<'_, F> {
+            #[inline]
+            fn accept(&self, ray: &Ray, hit: &Hit) -> bool {
+                !self.0.is_hidden_back(ray, hit) && (F::ALL || self.1.accept(ray, hit))
+            }
+        }
+        self.accel.closest_hit(ray, &Fronts(self, filter))
+    }
+
+    /// Whether a ray meets the back of a one-sided surface.
+    fn is_hidden_back(&self, ray: &Ray, hit: &Hit) -> bool {
+        let (shape, _) = self.accel.shape_of(hit);
+        self.shapes[shape as usize].one_sided
+            && ray.direction.dot(self.accel.point(hit).geometric_normal) > 0.0
     }
 
     /// The surface at a hit.

@@ -475,6 +475,19 @@ fn render_says_where_light_is_beyond_numbers() {
 }
 
 #[test]
+fn a_depth_below_the_files_is_said() {
+    let place = Place::new("depth");
+    let text = "Camera \"perspective\"\nFilm \"rgb\"\nIntegrator \"path\" \"integer maxdepth\" 63\nWorldBegin\n\
+                LightSource \"infinite\"\n";
+    std::fs::write(place.path("sky.pbrt"), text).unwrap();
+    for (depth, said) in [("", true), ("--depth 64", false), ("--depth 2", false)] {
+        let ran = place.run(&format!("render sky.pbrt --spp 1 --size 8x8 {depth}")).done();
+        let expected = "warning: sky.pbrt: paths end after 8 segments, the file asks for 64; `depth` sets another limit";
+        assert_eq!(ran.err.lines().any(|line| line == expected), said, "{ran:?}");
+    }
+}
+
+#[test]
 fn plan_list_inspect_and_generate_speak() {
     let place = Place::new("speak");
     let scene = cornell();

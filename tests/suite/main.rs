@@ -1,6 +1,7 @@
 //! The integration tests: one binary, one module a question. Statistical tests state their α and
 //! what they can detect; each has a control that must fail.
 
+mod cases;
 #[cfg(feature = "cli")]
 mod cli;
 mod course;

@@ -81,6 +81,7 @@ const EVERYTHING: SceneConstants = SceneConstants {
     textures: true,
     environments: true,
     anisotropic: true,
+    one_sided: true,
     materials: 0xFF,
     stack: 64,
 };
@@ -92,6 +93,7 @@ const LITTLE: SceneConstants = SceneConstants {
     textures: false,
     environments: false,
     anisotropic: false,
+    one_sided: false,
     materials: 1,
     stack: 16,
 };
@@ -122,7 +124,7 @@ fn specs() -> Vec<String> {
 /// Scenes that have one thing of all that can be left out, and such that lack one.
 fn one_of_each() -> Vec<SceneConstants> {
     let mut scenes = vec![EVERYTHING, LITTLE];
-    for (mut scene, value) in [(LITTLE, true), (EVERYTHING, false)].repeat(6) {
+    for (mut scene, value) in [(LITTLE, true), (EVERYTHING, false)].repeat(7) {
         let at = (scenes.len() - 2) / 2;
         let flag = [
             &mut scene.two_level,
@@ -131,6 +133,7 @@ fn one_of_each() -> Vec<SceneConstants> {
             &mut scene.textures,
             &mut scene.environments,
             &mut scene.anisotropic,
+            &mut scene.one_sided,
         ]
         .into_iter()
         .nth(at);
@@ -324,7 +327,7 @@ fn errors_name_a_modules_file_and_line() {
     };
     for (right, wrong, said) in [
         (
-            "    let hit = closest_hit(NOW, ray);",
+            "    let hit = camera_hit(NOW, ray);",
             "    let hit = closest_it(NOW, ray);",
             "closest_it",
         ),

@@ -195,7 +195,12 @@ fn scene(coins: bool) -> Scene {
             None,
         ),
     ];
-    for (geometry, emission, alpha) in shapes {
+    // What no ray meets, and emits all the same.
+    let none = Some(Scalar::Constant(0.0));
+    let unmet = [(0, false), (1, true), (3, false), (3, true), (4, true), (4, false)];
+    let unmet = unmet
+        .map(|(i, two_sided): (usize, bool)| (shapes[i].0.clone(), lamp(grey, two_sided), none));
+    for (geometry, emission, alpha) in shapes.into_iter().chain(unmet) {
         let shape =
             Shape { emission: Some(emission), alpha, ..Shape::new(geometry, MaterialId(4)) };
         scene.add_shape(shape);
@@ -283,6 +288,38 @@ fn rays() -> (Vec<u32>, Vec<Ray>) {
         inputs.push(t_max.min(3.0e38).to_bits());
     }
     (inputs, rays)
+}
+
+/// Camera rays pass the backs of one-sided surfaces.
+#[test]
+fn camera_rays_agree() {
+    let Some(gpu) = device() else { return };
+    let (inputs, rays) = rays();
+    let body = "
+    fn test(i: u32) {
+        let ray = Ray(input_vector(i, 0u), input_vector(i, 3u), input_float(i, 6u));
+        let hit = camera_hit(NOW, ray);
+        output(i, 0u, hit.primitive); output(i, 1u, hit.instance); output_float(i, 2u, hit.t);
+    }";
+    let mut scene = scene(false);
+    assert!(!World::new(scene.clone(), &Default::default()).unwrap().has_one_sided);
+    // The mesh of many triangles becomes one-sided.
+    Arc::make_mut(&mut scene.objects[0]).shapes[0].material = MaterialId(15);
+    let world = Arc::new(World::new(scene, &Default::default()).unwrap());
+    assert!(world.has_one_sided);
+    world.prepare_emitters().unwrap();
+    let found = run(&gpu, &world, body, (&inputs, 7), 3);
+    let (mut flips, mut passed, mut met) = (0, 0, 0);
+    for (ray, f) in rays.iter().zip(found.chunks(3)) {
+        let (any, seen) = (world.closest_hit(ray), world.camera_hit(ray));
+        met += u32::from(any.is_some());
+        passed += u32::from(any != seen);
+        let there = seen.map_or((u32::MAX, u32::MAX), |h| (h.primitive, h.instance));
+        flips += u32::from(there != (f[0], f[1]));
+    }
+    println!("of {met} rays {passed} pass a back, {flips} differ");
+    assert!(passed > met / 8 && passed < met, "{passed} of {met}");
+    assert!(flips <= 3, "{flips} rays of {} meet something else", rays.len());
 }
 
 /// Rays meet the same primitives, but for those that graze an edge or whose end lies within

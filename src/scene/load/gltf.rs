@@ -13,7 +13,9 @@
 
 mod animation;
 mod bytes;
+mod json;
 mod material;
+mod pose;
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -22,34 +24,23 @@ use std::sync::Arc;
 use glam::{Affine3A, Mat3, Vec2, Vec3, Vec3A};
 use gltf::json::extensions::scene::khr_lights_punctual::Type as LightType;
 use gltf::json::mesh::{Mode, Semantic};
-use gltf::json::validation::{Checked, Validate};
+use gltf::json::validation::Checked;
 use gltf::json::{Index, Root, mesh};
 
-use super::Warnings;
+use super::{Warnings, emits, normals};
 use crate::error::{Error, Result};
+use crate::scene::transform::is_regular;
 use crate::scene::{
-    Camera, Geometry, Light, LightKind, Loaded, Mesh, Object, ObjectId, Scene, Shape, SpotFalloff,
-    Track, Transform,
+    Camera, Curve, Geometry, Interpolation, Light, LightKind, Loaded, Mesh, Object, ObjectId,
+    Scene, Shape, SpotFalloff, Track, Transform,
 };
 use animation::Motions;
 use bytes::Buffers;
 use material::{Materials, Surface};
+use pose::{Deformer, Pose, Rest, Vertices};
 
 /// The longer side of the picture; glTF has a shape at most.
 const LONGER_SIDE: f32 = 1280.0;
-
-/// Extensions that are read. `KHR_mesh_quantization` only allows more number formats, all of which
-/// are read.
-const EXTENSIONS: [&str; 8] = [
-    "KHR_lights_punctual",
-    "KHR_materials_emissive_strength",
-    "KHR_materials_ior",
-    "KHR_materials_specular",
-    "KHR_materials_transmission",
-    "KHR_materials_volume",
-    "KHR_mesh_quantization",
-    "KHR_texture_transform",
-];
 
 pub(super) fn load(path: &Path) -> Result<Loaded> {
     from_bytes(&super::read(path)?, path)
@@ -60,15 +51,13 @@ pub(super) fn from_bytes(bytes: &[u8], path: &Path) -> Result<Loaded> {
 }
 
 fn read(bytes: &[u8], path: &Path) -> Result<Loaded> {
-    let (json, binary) = bytes::split(bytes)?;
-    let root = Root::from_slice(json).map_err(|e| {
-        let (line, column) = (e.line() as u32, e.column() as u32);
-        Error::syntax(format!("not glTF 2.0: {e}")).at_line(line, column)
-    })?;
-    let mut warnings = Warnings::default();
-    check(&root, &mut warnings)?;
+    let (text, binary) = bytes::split(bytes)?;
+    let mut warnings = Warnings::of(path);
+    let root = json::parse(text, &mut warnings)?;
+    json::check(&root, &mut warnings)?;
     let buffers = Buffers::read(&root, binary, path)?;
     let motions = animation::read(&root, &buffers, &mut warnings)?;
+    let rest = Rest::new(&root);
     let name = path.file_stem().map_or_else(String::new, |s| s.to_string_lossy().into_owned());
     let mut scene = Scene::new(name);
     scene.time = motions.time;
@@ -83,7 +72,10 @@ fn read(bytes: &[u8], path: &Path) -> Result<Loaded> {
         root: &root,
         buffers: &buffers,
         motions: &motions,
+        moving: motions.moving(&root),
+        deformer: Deformer { root: &root, buffers: &buffers, rest: &rest },
         materials,
+        path,
         surfaces: HashMap::new(),
         meshes: HashMap::new(),
         camera: None,
@@ -93,65 +85,19 @@ fn read(bytes: &[u8], path: &Path) -> Result<Loaded> {
     builder.build()
 }
 
-/// What the JSON alone can tell: versions, extensions, indices.
-fn check(root: &Root, warnings: &mut Warnings) -> Result<()> {
-    if !root.asset.version.starts_with("2.") {
-        let message = format!("is `{}`; allowed: 2.0", root.asset.version);
-        return Err(Error::unsupported(message).at_json("asset.version"));
-    }
-    for (i, name) in root.extensions_required.iter().enumerate() {
-        if !EXTENSIONS.contains(&name.as_str()) {
-            let message = format!("is `{name}`; allowed: {}", EXTENSIONS.join(", "));
-            return Err(Error::unsupported(message).at_json(format!("extensionsRequired[{i}]")));
-        }
-    }
-    for (i, name) in root.extensions_used.iter().enumerate() {
-        if !EXTENSIONS.contains(&name.as_str()) {
-            let known = EXTENSIONS.join(", ");
-            warnings.add(format!("extensionsUsed[{i}]: `{name}` is ignored; read are: {known}"));
-        }
-    }
-    // The crate's own check indexes the accessors with POSITION before it has checked that index.
-    for (m, mesh) in root.meshes.iter().enumerate() {
-        for (p, primitive) in mesh.primitives.iter().enumerate() {
-            for (semantic, accessor) in &primitive.attributes {
-                if accessor.value() >= root.accessors.len() {
-                    let name = match semantic {
-                        Checked::Valid(semantic) => semantic.to_string(),
-                        Checked::Invalid => "?".to_string(),
-                    };
-                    let message =
-                        format!("is {}; allowed: below {}", accessor.value(), root.accessors.len());
-                    let place = format!("meshes[{m}].primitives[{p}].attributes.{name}");
-                    return Err(Error::invalid(message).at_json(place));
-                }
-            }
-        }
-    }
-    let mut first = None;
-    root.validate(root, gltf::json::Path::new, &mut |path, error| {
-        let place = path().to_string();
-        // Checked above, and more kindly. Missing bounds of POSITION are not needed.
-        let bounds = place.ends_with(".min") || place.ends_with(".max");
-        if first.is_none() && !place.starts_with("extensionsRequired") && !bounds {
-            first = Some((place, error.to_string()));
-        }
-    });
-    match first {
-        Some((place, error)) => Err(Error::invalid(error).at_json(place)),
-        None => Ok(()),
-    }
-}
-
 struct Builder<'a> {
     root: &'a Root,
     buffers: &'a Buffers<'a>,
     motions: &'a Motions,
+    /// Whether a node or one above it is animated.
+    moving: Vec<bool>,
+    deformer: Deformer<'a>,
     materials: Materials<'a>,
+    path: &'a Path,
     /// By material index; `None` is glTF's default material.
     surfaces: HashMap<Option<usize>, Surface>,
-    /// By mesh index; `None` has nothing to show.
-    meshes: HashMap<usize, Option<ObjectId>>,
+    /// By mesh index, for each pose that it is shown in; `None` has nothing to show.
+    meshes: HashMap<usize, Vec<(Pose, Option<ObjectId>)>>,
     /// Its node, and the picture's width over height if the file says so.
     camera: Option<(usize, Option<f32>)>,
     scene: Scene,
@@ -160,7 +106,6 @@ struct Builder<'a> {
 
 impl Builder<'_> {
     fn build(mut self) -> Result<Loaded> {
-        self.skins()?;
         self.nodes()?;
         if self.scene.instances.is_empty() {
             self.warnings.add("scenes: nothing to show: no node with triangles");
@@ -173,10 +118,7 @@ impl Builder<'_> {
                 self.scene.camera = framing(&self.scene);
             }
         }
-        let emits = self.scene.instances.iter().any(|i| {
-            self.scene.objects[i.object.index()].shapes.iter().any(|s| s.emission.is_some())
-        });
-        if !emits && self.scene.lights.is_empty() {
+        if !emits(&self.scene) && self.scene.lights.is_empty() {
             self.warnings
                 .add("materials, lights: nothing emits; a white sky of radiance 1 is added");
             let kind = LightKind::Environment { radiance: Vec3::ONE, image: None };
@@ -184,37 +126,8 @@ impl Builder<'_> {
             self.scene.lights.push(Light { to_world: Transform::IDENTITY, kind, key });
         }
         self.scene.validate()?;
-        Ok(Loaded { scene: self.scene, warnings: self.warnings.into_vec() })
-    }
-
-    /// Whether a node or one above it is animated, for all nodes.
-    fn moving(&self) -> Vec<bool> {
-        let mut moving = vec![false; self.root.nodes.len()];
-        let mut stack: Vec<usize> = self.motions.by_node.keys().copied().collect();
-        while let Some(node) = stack.pop() {
-            if !moving[node] {
-                moving[node] = true;
-                let children = self.root.nodes[node].children.iter().flatten();
-                stack.extend(children.map(|child| child.value()));
-            }
-        }
-        moving
-    }
-
-    /// Skins deform meshes: refused where they move, ignored where not.
-    fn skins(&mut self) -> Result<()> {
-        let moving = self.moving();
-        for (n, node) in self.root.nodes.iter().enumerate() {
-            let Some(skin) = node.skin else { continue };
-            let joints = self.root.get(skin).map_or(&[][..], |skin| &skin.joints);
-            let place = format!("nodes[{n}].skin");
-            if joints.iter().any(|joint| moving[joint.value()]) {
-                let message = "an animated skin deforms its mesh; allowed: rigid parts";
-                return Err(Error::unsupported(message).at_json(place));
-            }
-            self.warnings.add(format!("{place}: ignored; the mesh is shown as it is stored"));
-        }
-        Ok(())
+        super::warn_of_geometry(&self.scene, &mut self.warnings);
+        Ok(Loaded { scene: self.scene, warnings: self.warnings.into_vec(self.path) })
     }
 
     fn nodes(&mut self) -> Result<()> {
@@ -266,34 +179,57 @@ impl Builder<'_> {
         }
         let Some(mesh) = node.mesh else { return Ok(()) };
         let m = mesh.value();
-        let weights = node.weights.as_ref().or(self.root.meshes[m].weights.as_ref());
-        if weights.is_some_and(|w| w.iter().any(|&w| w != 0.0)) {
-            self.warnings
-                .add(format!("{place}: morph targets are ignored; the base mesh is shown"));
-        }
-        let object = match self.meshes.get(&m) {
-            Some(&object) => object,
-            None => {
-                let object = self.object(m)?;
-                self.meshes.insert(m, object);
-                object
-            }
+        let pose = self.pose(n, m);
+        // A skin's joints place its mesh, its node does not.
+        let to_world = match pose.skin {
+            Some(_) => Transform::IDENTITY,
+            None => placement(tracks),
         };
-        let Some(object) = object else { return Ok(()) };
-        let to_world = placement(tracks);
-        if let Transform::Fixed(affine) = &to_world {
-            let volume = affine.matrix3.determinant();
-            if !affine.is_finite() || !volume.is_finite() {
+        let links: &[Track] = match &to_world {
+            Transform::Fixed(affine) => &[Track::Fixed(*affine)],
+            Transform::Chain(tracks) => tracks,
+        };
+        for link in links {
+            let Track::Fixed(affine) = link else { continue };
+            if !affine.is_finite() || !affine.matrix3.determinant().is_finite() {
                 let message = "has a placement too large for 32-bit floats";
                 return Err(Error::invalid(message).at_json(place));
             }
-            if volume == 0.0 {
+            if !is_regular(affine) {
                 self.warnings.add(format!("{place}: a scale of 0 hides it"));
                 return Ok(());
             }
         }
-        self.scene.add_instance(object, to_world, n as u64);
+        let known = self.meshes.get(&m).and_then(|all| all.iter().find(|(p, _)| *p == pose));
+        let object = match known {
+            Some((_, object)) => *object,
+            None => {
+                let object = self.object(m, &pose)?;
+                self.meshes.entry(m).or_default().push((pose, object));
+                object
+            }
+        };
+        if let Some(object) = object {
+            self.scene.add_instance(object, to_world, n as u64);
+        }
         Ok(())
+    }
+
+    /// How mesh `m` is deformed where node `n` shows it.
+    fn pose(&mut self, n: usize, m: usize) -> Pose {
+        let node = &self.root.nodes[n];
+        let mut weights = node.weights.as_ref().or(self.root.meshes[m].weights.as_ref());
+        weights = weights.filter(|w| w.iter().any(|w| *w != 0.0 && w.is_finite()));
+        let skin = node.skin.filter(|skin| self.root.get(*skin).is_some());
+        if let Some(skin) = skin {
+            let joints = &self.root.skins[skin.value()].joints;
+            if joints.iter().any(|joint| self.moving[joint.value()]) {
+                self.warnings.add(format!(
+                    "nodes[{n}].skin: its joints are animated, which is not followed; the mesh keeps its rest pose"
+                ));
+            }
+        }
+        Pose { weights: weights.cloned().unwrap_or_default(), skin: skin.map(|skin| skin.value()) }
     }
 
     fn camera(&mut self, n: usize, c: usize, tracks: &[Track]) -> Result<()> {
@@ -322,8 +258,20 @@ impl Builder<'_> {
         let shorter = given.aspect_ratio.unwrap_or(16.0 / 9.0).min(1.0);
         let fov = 2.0 * ((0.5 * given.yfov).tan() * shorter).atan();
         let flip = Mat3::from_diagonal(Vec3::new(1.0, 1.0, -1.0));
-        self.scene.camera = Camera { to_world: self.rigid(n, tracks, flip)?, fov };
-        self.camera = Some((n, given.aspect_ratio));
+        if let Some(to_world) = self.rigid(n, tracks, flip)? {
+            let links = if let Transform::Chain(links) = &to_world { &links[..] } else { &[] };
+            let vanishes = |link: &Track| match link {
+                Track::Trs { scale, .. } => passes_zero(scale),
+                Track::Fixed(_) => false,
+            };
+            if links.iter().any(vanishes) {
+                let message = "a scale of 0 above its camera leaves it without a direction";
+                self.warnings.add(format!("nodes[{n}]: {message}; ignored"));
+                return Ok(());
+            }
+            self.scene.camera = Camera { to_world, fov };
+            self.camera = Some((n, given.aspect_ratio));
+        }
         Ok(())
     }
 
@@ -365,50 +313,64 @@ impl Builder<'_> {
             }
         };
         let turn = Mat3::from_diagonal(Vec3::new(-1.0, 1.0, -1.0));
-        let to_world = self.rigid(n, tracks, turn)?;
-        self.scene.lights.push(Light { to_world, kind, key: n as u64 });
+        if let Some(to_world) = self.rigid(n, tracks, turn)? {
+            self.scene.lights.push(Light { to_world, kind, key: n as u64 });
+        }
         Ok(())
     }
 
     /// The placement of a camera or a light: without scale, and `turn` from our axes to glTF's.
-    fn rigid(&mut self, n: usize, tracks: &[Track], turn: Mat3) -> Result<Transform> {
+    /// `None` where a scale of 0 leaves no directions, which is warned of.
+    fn rigid(&mut self, n: usize, tracks: &[Track], turn: Mat3) -> Result<Option<Transform>> {
         let place = format!("nodes[{n}]");
-        let to_world = placement(tracks);
+        let mut tracks = tracks.to_vec();
+        // Its own scale moves nothing; one that passes 0 would hide it.
+        if let Some(Track::Trs { scale, .. }) = tracks.last_mut()
+            && passes_zero(scale)
+        {
+            *scale = Curve::constant(Vec3::ONE);
+        }
+        let to_world = placement(&tracks);
         let now = to_world.at(self.scene.time[0]);
+        if !now.is_finite() {
+            let message = "has a placement too large for 32-bit floats";
+            return Err(Error::invalid(message).at_json(place));
+        }
         let axes = [now.matrix3.x_axis, now.matrix3.y_axis, now.matrix3.z_axis];
         let forward = axes[2].try_normalize();
         let up = forward.and_then(|z| (axes[1] - z * z.dot(axes[1])).try_normalize());
-        let (Some(z), Some(y), true) = (forward, up, now.is_finite()) else {
-            let message = "places a camera or a light with a scale of 0";
-            return Err(Error::invalid(message).at_json(place));
+        let lengths = axes.map(|axis| axis.length());
+        let scale = (lengths[0] * lengths[1] * lengths[2]).cbrt();
+        let (Some(z), Some(y), true) = (forward, up, 1.0 / scale < f32::INFINITY) else {
+            let message = "a scale of 0 leaves its camera or light without a direction";
+            self.warnings.add(format!("{place}: {message}; ignored"));
+            return Ok(None);
         };
         let turn = Affine3A::from_mat3(turn);
-        match to_world {
+        Ok(Some(match to_world {
             Transform::Fixed(_) => {
                 let mut still = Affine3A::from_cols(y.cross(z), y, z, Vec3A::ZERO) * turn;
                 still.translation = now.translation;
-                Ok(Transform::Fixed(still))
+                Transform::Fixed(still)
             }
             Transform::Chain(mut tracks) => {
-                let lengths = axes.map(|axis| axis.length());
-                let scale = (lengths[0] * lengths[1] * lengths[2]).cbrt();
                 if lengths.iter().any(|l| (l / scale - 1.0).abs() > 1e-3) {
                     let message = "a moving camera or light is scaled differently along its axes";
                     self.warnings.add(format!("{place}: {message}; its directions are skewed"));
                 }
                 tracks.push(Track::Fixed(Affine3A::from_scale(Vec3::splat(1.0 / scale)) * turn));
-                Ok(Transform::Chain(tracks))
+                Transform::Chain(tracks)
             }
-        }
+        }))
     }
 
-    fn object(&mut self, m: usize) -> Result<Option<ObjectId>> {
+    fn object(&mut self, m: usize, pose: &Pose) -> Result<Option<ObjectId>> {
         let given = &self.root.meshes[m];
         let mut object =
             Object { name: given.name.clone().unwrap_or_default(), shapes: Vec::new() };
         for (p, primitive) in given.primitives.iter().enumerate() {
             let place = format!("meshes[{m}].primitives[{p}]");
-            object.shapes.extend(self.shape(primitive, &place)?);
+            object.shapes.extend(self.shape(primitive, pose, &place)?);
         }
         Ok((!object.shapes.is_empty()).then(|| self.scene.add_object(object)))
     }
@@ -422,14 +384,20 @@ impl Builder<'_> {
         Ok(surface)
     }
 
-    fn shape(&mut self, given: &mesh::Primitive, place: &str) -> Result<Option<Shape>> {
+    fn shape(
+        &mut self,
+        given: &mesh::Primitive,
+        pose: &Pose,
+        place: &str,
+    ) -> Result<Option<Shape>> {
         let mode = match given.mode {
             Checked::Valid(mode @ (Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan)) => {
                 mode
             }
             Checked::Valid(other) => {
+                let other = if other == Mode::Points { "points" } else { "lines" };
                 self.warnings
-                    .add(format!("{place}.mode: {other:?} are not read; only triangles are"));
+                    .add(format!("{place}.mode: {other} are not read; only triangles are"));
                 return Ok(None);
             }
             Checked::Invalid => {
@@ -439,7 +407,9 @@ impl Builder<'_> {
         let attribute = |semantic| given.attributes.get(&Checked::Valid(semantic)).copied();
         let at = |name: &str| format!("{place}.attributes.{name}");
         let Some(positions) = attribute(Semantic::Positions) else {
-            return Err(Error::invalid("missing").at_json(at("POSITION")));
+            let message = "missing; the primitive shows nothing";
+            self.warnings.add(format!("{}: {message}", at("POSITION")));
+            return Ok(None);
         };
         let count = self.buffers.count(positions)?;
         let corners = match given.indices {
@@ -482,8 +452,13 @@ impl Builder<'_> {
         let mut normals = Vec::new();
         if let Some(index) = attribute(Semantic::Normals) {
             same_count(index, "NORMAL")?;
-            normals = self.buffers.floats::<3>(index, Some(used.clone()))?;
+            normals = self.buffers.numbers::<3>(index, Some(used.clone()))?;
         }
+        let mut vertices = Vertices {
+            positions: positions.into_iter().map(Vec3::from_array).collect(),
+            normals: normals.into_iter().map(Vec3::from_array).collect(),
+        };
+        self.deformer.apply(pose, given, &used, place, &mut vertices)?;
         let surface = self.surface(given.material.map(|material| material.value()))?;
         let mut uvs = Vec::new();
         if let Some(set) = surface.uv_set {
@@ -496,7 +471,7 @@ impl Builder<'_> {
                             format!("has {found} elements; allowed: {count}, as POSITION");
                         return Err(Error::invalid(message).at_json(at(&name)));
                     }
-                    uvs = self.buffers.floats::<2>(index, Some(used))?;
+                    uvs = self.buffers.floats::<2>(index, Some(used.clone()))?;
                 }
                 None => self.warnings.add(format!(
                     "{}: missing, but the material has textures; every triangle shows half of them",
@@ -507,18 +482,19 @@ impl Builder<'_> {
         if attribute(Semantic::Colors(0)).is_some() {
             self.warnings.add(format!("{}: vertex colours are ignored", at("COLOR_0")));
         }
-        let unit: Option<Vec<Vec3>> =
-            normals.iter().map(|n| Vec3::from_array(*n).try_normalize()).collect();
-        if unit.is_none() {
-            self.warnings
-                .add(format!("{}: some have no length; flat shading is used", at("NORMAL")));
-        }
-        let mesh = Mesh {
-            positions: positions.into_iter().map(Vec3::from_array).collect(),
-            normals: unit.unwrap_or_default(),
+        let mut mesh = Mesh {
+            positions: vertices.positions,
+            normals: Vec::new(),
             uvs: uvs.into_iter().map(Vec2::from_array).collect(),
             triangles,
         };
+        if !vertices.normals.is_empty() {
+            let unit = vertices.normals.iter().map(|n| n.try_normalize()).collect();
+            if let Some(mut lost) = normals::set(&mut mesh, unit, false) {
+                lost.first += used.start;
+                self.warnings.add(format!("{}: {lost}", at("NORMAL")));
+            }
+        }
         let mut shape = Shape::new(Geometry::Mesh(Arc::new(mesh)), surface.material);
         shape.emission = surface.emission;
         shape.alpha = surface.alpha;
@@ -543,6 +519,15 @@ fn triangles(mode: Mode, corners: &[u32]) -> Vec<[u32; 3]> {
             .collect(),
         _ => corners.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect(),
     }
+}
+
+/// Whether a scale is 0 along an axis at some time.
+fn passes_zero(scale: &Curve<Vec3>) -> bool {
+    let zero = |s: Vec3| s.abs().min_element() == 0.0;
+    let turns = |a: Vec3, b: Vec3| (a.signum() * b.signum()).min_element() < 0.0;
+    scale.keys.iter().any(|key| zero(key.1))
+        || (scale.interpolation == Interpolation::Linear
+            && scale.keys.windows(2).any(|w| turns(w[0].1, w[1].1)))
 }
 
 /// One matrix if nothing moves, else the chain.
@@ -610,6 +595,9 @@ fn bounds(object: &Object) -> (Vec3, Vec3) {
 }
 
 #[cfg(test)]
+mod cases;
+
+#[cfg(test)]
 mod tests {
     use super::*;
     use crate::scene::{Channel, Color, Material, Scalar};
@@ -617,7 +605,7 @@ mod tests {
     use std::path::PathBuf;
 
     /// Base64 of little-endian words.
-    fn data(words: &[u32]) -> String {
+    pub(super) fn data(words: &[u32]) -> String {
         const DIGITS: &[u8; 64] =
             b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
         let bytes: Vec<u8> = words.iter().flat_map(|w| w.to_le_bytes()).collect();
@@ -632,16 +620,16 @@ mod tests {
         text
     }
 
-    fn floats(values: &[f32]) -> Vec<u32> {
+    pub(super) fn floats(values: &[f32]) -> Vec<u32> {
         values.iter().map(|v| v.to_bits()).collect()
     }
 
     /// A red pixel over a half-transparent green one, as PNG.
-    const PNG: &str = "data:image/png;base64,iVBORw0KGgoAAAANSUhEUgAAAAEAAAACCAYAAACZgbYnAAAADklEQVR4nGP4z8AARg0AEngDfiJRAKgAAAAASUVORK5CYII=";
+    pub(super) const PNG: &str = "data:image/png;base64,iVBORw0KGgoAAAANSUhEUgAAAAEAAAACCAYAAACZgbYnAAAADklEQVR4nGP4z8AARg0AEngDfiJRAKgAAAAASUVORK5CYII=";
 
     /// One triangle in z = 0 with (u, v), its indices, two keys of an animation; `rest` replaces
     /// `REST`.
-    fn file(nodes: &str, rest: &str) -> String {
+    pub(super) fn file(nodes: &str, rest: &str) -> String {
         let mut words = floats(&[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]);
         words.extend(floats(&[0.0, 0.0, 1.0, 0.0, 0.0, 1.0]));
         words.extend([0, 1, 2]);
@@ -663,7 +651,7 @@ mod tests {
         )
     }
 
-    fn parse(text: &str) -> Result<Loaded> {
+    pub(super) fn parse(text: &str) -> Result<Loaded> {
         from_bytes(text.as_bytes(), Path::new("t.gltf"))
     }
 
@@ -773,10 +761,12 @@ mod tests {
             text,
             "t.gltf: animations[0].samplers[0].output: 2 values for 2 keys; allowed: 3 a key"
         );
-        let text = message(&animated("LINEAR", "weights"));
-        assert!(
-            text.starts_with("t.gltf: animations[0].channels[0].target.path: animated morph"),
-            "{text}"
+        let loaded = parse(&animated("LINEAR", "weights")).unwrap();
+        assert!(!loaded.scene.moves());
+        assert_eq!(
+            loaded.warnings[0],
+            "t.gltf: animations[0].channels[0].target.path: animated morph targets are not followed; the mesh \
+             keeps its rest pose"
         );
     }
 
@@ -826,7 +816,10 @@ mod tests {
         assert!(matches!(specular_color, Color::Constant(c) if c == Vec3::new(1.0, 2.0, 0.5)));
         assert!(matches!(transmission, Scalar::Constant(0.25)));
         assert!(
-            loaded.warnings.iter().any(|w| w == "materials[0].normalTexture: not read; ignored")
+            loaded
+                .warnings
+                .iter()
+                .any(|w| w == "t.gltf: materials[0].normalTexture: not read; ignored")
         );
     }
 
@@ -860,7 +853,7 @@ mod tests {
             (
                 r#""indices":2"#,
                 r#""indices":1"#,
-                "accessors[1].type: is Vec2; allowed for indices: Scalar",
+                "accessors[1].type: is VEC2; allowed for indices: SCALAR",
             ),
             (
                 r#""count":3,"type":"SCALAR""#,
@@ -873,7 +866,7 @@ mod tests {
                 "buffers[0].byteLength: is 105, but there are 104 bytes",
             ),
             (r#""byteOffset":80,"byteLength":24"#, r#""byteOffset":84,"byteLength":24"#, ""),
-            (r#""mesh":0"#, r#""mesh":4"#, "nodes[0].mesh: Index out of bounds"),
+            (r#""mesh":0"#, r#""mesh":4"#, "nodes[0].mesh: refers to what does not exist"),
             (
                 r#""mesh":0"#,
                 r#""mesh":0,"rotation":[0,0,0,0]"#,
@@ -888,7 +881,7 @@ mod tests {
             (
                 r#"[{}]"#,
                 r#"[{"emissiveTexture":{"index":3},"emissiveFactor":[1,1,1]}]"#,
-                "materials[0].emissiveTexture.index: Index out of bounds",
+                "materials[0].emissiveTexture.index: refers to what does not exist",
             ),
             (
                 r#"[{}]"#,

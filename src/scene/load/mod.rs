@@ -6,16 +6,21 @@
 //! | [`pbrt_from_bytes`] | pbrt-v4 text in memory |
 //! | [`gltf_from_bytes`] | glTF 2.0 in memory, text or binary |
 //! | [`ply_from_bytes`] | a PLY mesh in memory, gzip or not |
-//! | [`image_from_bytes`] | PNG, JPEG, Radiance HDR or OpenEXR in memory |
+//! | [`image_from_bytes`] | PNG, JPEG, TGA, Radiance HDR, PFM or OpenEXR in memory |
 //!
-//! Every refusal names the file and the line or JSON path, what was found and what is allowed. What
-//! is ignored or approximated is a warning in [`Loaded::warnings`]. `docs/scenes.md` lists what is
-//! read and how spectra become RGB.
+//! Every refusal and every warning names the file and the line or JSON path, what was found and
+//! what is allowed or was done. What is ignored or approximated is a warning in
+//! [`Loaded::warnings`]. Limits are on bytes and on depth, never on a count of things that a scene
+//! may well have. `docs/scenes.md` lists what is read and how spectra become RGB.
 
+mod black;
+mod coincident;
 mod gltf;
+mod normals;
 mod pbrt;
 mod picture;
 mod ply;
+mod precision;
 
 use std::collections::HashSet;
 use std::io::Read;
@@ -74,19 +79,26 @@ pub fn gltf_from_bytes(bytes: &[u8], path: &Path) -> Result<Loaded> {
 }
 
 /// Reads a PLY mesh: ASCII, binary of either byte order, or one of these gzipped. Polygons become
-/// triangle fans.
+/// triangle fans. Triangles at a vertex whose normal has no direction have their faces' own.
 ///
 /// # Errors
-/// Bytes that are no PLY mesh, indices out of range, more data declared than there is.
+/// Bytes that are no PLY mesh, positions that are not finite, indices out of range, more data
+/// declared than there is.
 pub fn ply_from_bytes(bytes: &[u8]) -> Result<Mesh> {
-    ply::from_bytes(bytes)
+    let ply::Read { mut mesh, .. } = ply::from_bytes(bytes)?;
+    if !mesh.normals.is_empty() {
+        let unit = mesh.normals.iter().map(|n| n.as_dvec3().try_normalize().map(|n| n.as_vec3()));
+        let unit = unit.collect();
+        normals::set(&mut mesh, unit, false);
+    }
+    Ok(mesh)
 }
 
 /// Decodes a picture by its leading bytes.
 ///
 /// # Errors
-/// Bytes that are no PNG, JPEG, Radiance HDR or OpenEXR, damaged ones, or a picture above 32,768
-/// pixels a side or 1 GiB decoded.
+/// Bytes that are no PNG, JPEG, TGA, Radiance HDR, PFM or OpenEXR, damaged ones, or a picture above
+/// 32,768 pixels a side or 1 GiB decoded.
 pub fn image_from_bytes(bytes: &[u8], encoding: Encoding) -> Result<Image> {
     picture::image_from_bytes(bytes, encoding)
 }
@@ -126,9 +138,29 @@ fn gunzip(bytes: &[u8]) -> Result<Option<Vec<u8>>> {
     Ok(Some(unpacked))
 }
 
+/// Whether any placed surface emits.
+fn emits(scene: &super::Scene) -> bool {
+    let mut objects = scene.instances.iter().map(|i| &scene.objects[i.object.index()]);
+    objects.any(|object| object.shapes.iter().any(|shape| shape.emission.is_some()))
+}
+
+/// What is placed at the scene's first time, and where.
+fn placed(scene: &super::Scene) -> impl Iterator<Item = (&super::Instance, glam::Affine3A)> {
+    let at = |i: &super::Instance| i.to_world.shown_at(scene.time[0]);
+    scene.instances.iter().filter_map(move |i| at(i).map(|to_world| (i, to_world)))
+}
+
+/// Warns of geometry that renders otherwise than it is meant.
+fn warn_of_geometry(scene: &super::Scene, warnings: &mut Warnings) {
+    precision::warn(scene, warnings);
+    coincident::warn(scene, warnings);
+}
+
 /// Warnings without repetition, in the order they were found.
 #[derive(Debug, Default)]
 struct Warnings {
+    /// In front of each.
+    prefix: String,
     list: Vec<String>,
     seen: HashSet<String>,
     dropped: usize,
@@ -138,9 +170,22 @@ impl Warnings {
     /// More than this many help nobody.
     const MAX: usize = 200;
 
+    /// Of a file, which each of them names first.
+    fn of(file: &Path) -> Self {
+        let mut warnings = Self::default();
+        warnings.about(file);
+        warnings
+    }
+
+    /// As [`Warnings::of`] from here on.
+    fn about(&mut self, file: &Path) -> &mut Self {
+        self.prefix = format!("{}: ", file.display());
+        self
+    }
+
     /// Adds a warning unless the same one is there.
-    fn add(&mut self, warning: impl Into<String>) {
-        let warning = warning.into();
+    fn add(&mut self, warning: impl std::fmt::Display) {
+        let warning = format!("{}{warning}", self.prefix);
         if !self.seen.contains(&warning) {
             if self.list.len() < Self::MAX {
                 self.seen.insert(warning.clone());
@@ -152,15 +197,16 @@ impl Warnings {
     }
 
     /// Adds a warning unless another one with the same `topic` is there.
-    fn add_once(&mut self, topic: &str, warning: impl Into<String>) {
+    fn add_once(&mut self, topic: &str, warning: impl std::fmt::Display) {
         if self.seen.insert(format!("\0{topic}")) {
             self.add(warning);
         }
     }
 
-    fn into_vec(mut self) -> Vec<String> {
+    /// The warnings about a scene in `file`, all of which name a file.
+    fn into_vec(mut self, file: &Path) -> Vec<String> {
         if self.dropped > 0 {
-            self.list.push(format!("{} more warnings", self.dropped));
+            self.list.push(format!("{}: {} more warnings", file.display(), self.dropped));
         }
         self.list
     }
@@ -197,9 +243,9 @@ mod tests {
         for i in 0..300 {
             warnings.add(format!("{i}"));
         }
-        let list = warnings.into_vec();
+        let list = warnings.into_vec(Path::new("s.pbrt"));
         assert_eq!(list[..3], ["a", "b", "0"]);
         assert_eq!(list.len(), 201);
-        assert_eq!(list[200], "102 more warnings");
+        assert_eq!(list[200], "s.pbrt: 102 more warnings");
     }
 }

@@ -1,4 +1,4 @@
-//! Pictures from files: PNG, JPEG, Radiance HDR (crate `image`) and OpenEXR (crate `exr`),
+//! Pictures from files: PNG, JPEG, TGA, Radiance HDR (crate `image`), OpenEXR (crate `exr`), PFM,
 //! recognised by their leading bytes.
 //!
 //! Sizes are checked in the header, before anything is decoded, so that a small file cannot ask for
@@ -9,6 +9,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
 use ::image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
+use glam::Vec4;
 
 use crate::error::{Error, Result};
 use crate::scene::{Image, ImageData};
@@ -18,6 +19,9 @@ const MAX_SIDE: u64 = 32_768;
 
 /// Decoded bytes: 1 GiB.
 const MAX_BYTES: u64 = 1 << 30;
+
+/// What is read, for messages.
+const FORMATS: &str = "PNG, JPEG, TGA, HDR (Radiance), PFM, EXR";
 
 /// What the numbers of an 8- or 16-bit picture mean. Float pictures are always linear.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -44,7 +48,8 @@ pub(super) fn image_from_bytes(bytes: &[u8], encoding: Encoding) -> Result<Image
         && let Some(at) = data.iter().position(|p| p.iter().any(|v| !v.is_finite()))
     {
         let (x, y) = (at as u32 % image.width, at as u32 / image.width);
-        let message = format!("pixel ({x}, {y}) is {:?}; allowed: finite numbers", data[at]);
+        let message =
+            format!("pixel ({x}, {y}) is {}; allowed: finite numbers", Vec4::from(data[at]));
         return Err(Error::invalid(message));
     }
     Ok(image)
@@ -54,16 +59,22 @@ fn decode(bytes: &[u8], encoding: Encoding) -> Result<Image> {
     if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
         return decode_exr(bytes);
     }
-    let format = ::image::guess_format(bytes).ok();
-    let format =
-        format.filter(|f| matches!(f, ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::Hdr));
-    let Some(format) = format else {
-        return Err(Error::unsupported(
-            "not a picture that is read; allowed: PNG, JPEG, HDR (Radiance), EXR",
-        ));
+    if bytes.starts_with(b"PF") || bytes.starts_with(b"Pf") {
+        return decode_pfm(bytes);
+    }
+    let known = [
+        (ImageFormat::Png, "PNG"),
+        (ImageFormat::Jpeg, "JPEG"),
+        (ImageFormat::Hdr, "HDR"),
+        (ImageFormat::Tga, "TGA"),
+    ];
+    // TGA begins with nothing of its own: what nothing else claims and fits its header.
+    let guessed = ::image::guess_format(bytes).ok();
+    let guessed = guessed.or_else(|| is_tga(bytes).then_some(ImageFormat::Tga));
+    let Some(&(format, name)) = known.iter().find(|(format, _)| Some(*format) == guessed) else {
+        return Err(Error::unsupported(format!("not a picture that is read; allowed: {FORMATS}")));
     };
-    let damaged =
-        |e: ::image::ImageError| Error::syntax(format!("damaged {format:?} picture: {e}"));
+    let damaged = |e: ::image::ImageError| damaged(name, &e);
     let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
     let mut limits = ::image::Limits::default();
     limits.max_alloc = Some(2 * MAX_BYTES);
@@ -97,6 +108,72 @@ fn decode(bytes: &[u8], encoding: Encoding) -> Result<Image> {
     Ok(Image { width, height, data })
 }
 
+/// What a decoder stumbled over, in words: its own may hold the names of its types.
+fn damaged(format: &str, error: &::image::ImageError) -> Error {
+    use ::image::ImageError as E;
+    let what = match error {
+        E::IoError(e) if e.kind() == std::io::ErrorKind::UnexpectedEof => "it ends too early",
+        E::IoError(_) => "its bytes cannot be read",
+        E::Limits(_) => "it is larger than is allowed",
+        E::Unsupported(_) => "it is of a kind that is not read",
+        E::Decoding(_) | E::Encoding(_) | E::Parameter(_) => "its bytes are not of that format",
+    };
+    Error::syntax(format!("damaged {format} picture: {what}"))
+}
+
+/// Whether a TGA header (Truevision 1991) stands at the front: colour map type, image type, sides
+/// above 0, bits a pixel, and no interleaving.
+fn is_tga(bytes: &[u8]) -> bool {
+    let Some(header) = bytes.get(..18) else { return false };
+    let mapped = matches!(header[2], 1 | 9);
+    matches!(header[2], 1 | 2 | 3 | 9 | 10 | 11)
+        && (header[1] == 1 || (header[1] == 0 && !mapped))
+        && (header[12], header[13]) != (0, 0)
+        && (header[14], header[15]) != (0, 0)
+        && matches!(header[16], 8 | 15 | 16 | 24 | 32)
+        && header[17] >> 6 == 0
+}
+
+/// A portable float map: `PF` (colours) or `Pf` (grey), width, height and a scale as text, each
+/// with one white space behind it, then rows of f32 from the bottom up. A negative scale says
+/// little-endian; its magnitude is a factor.
+fn decode_pfm(bytes: &[u8]) -> Result<Image> {
+    let damaged = |what: &str| Error::syntax(format!("damaged PFM picture: {what}"));
+    let channels = if bytes.starts_with(b"PF") { 3 } else { 1 };
+    let mut rest = &bytes[2..];
+    let mut word = || -> Option<&str> {
+        let start = rest.iter().position(|b| !b.is_ascii_whitespace())?;
+        let length = rest[start..].iter().position(u8::is_ascii_whitespace)?;
+        let word = std::str::from_utf8(&rest[start..start + length]).ok()?;
+        rest = &rest[start + length + 1..];
+        Some(word)
+    };
+    let mut side = || word().and_then(|word| word.parse::<u32>().ok());
+    let (Some(width), Some(height)) = (side(), side()) else {
+        return Err(damaged("its header has no width and height"));
+    };
+    let scale = word().and_then(|word| word.parse::<f32>().ok());
+    let Some(scale) = scale.filter(|scale| scale.is_finite() && *scale != 0.0) else {
+        return Err(damaged("its header has no scale; allowed: any number but 0"));
+    };
+    check_size(width.into(), height.into(), 16)?;
+    let row = 4 * channels * width as usize;
+    if rest.len() < row * height as usize {
+        return Err(damaged("it ends too early"));
+    }
+    let number = |b: &[u8]| {
+        let b = [b[0], b[1], b[2], b[3]];
+        let value = if scale < 0.0 { f32::from_le_bytes(b) } else { f32::from_be_bytes(b) };
+        value * scale.abs()
+    };
+    let rows = rest[..row * height as usize].chunks_exact(row).rev();
+    let pixels = rows.flat_map(|row| row.chunks_exact(4 * channels)).map(|pixel| {
+        let [r, g, b] = [0, 1, 2].map(|c| number(&pixel[4 * (c % channels)..]));
+        [r, g, b, 1.0]
+    });
+    Ok(Image { width, height, data: ImageData::Float(pixels.collect()) })
+}
+
 /// The sRGB electro-optical transfer function (IEC 61966-2-1).
 fn srgb_to_linear(value: f32) -> f32 {
     if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
@@ -122,7 +199,14 @@ fn check_size(width: u64, height: u64, bytes_per_pixel: u64) -> Result<()> {
 fn decode_exr(bytes: &[u8]) -> Result<Image> {
     use exr::prelude::{ReadChannels, ReadLayers, Text, read};
 
-    let damaged = |e: exr::error::Error| Error::syntax(format!("damaged EXR picture: {e}"));
+    let damaged = |e: exr::error::Error| {
+        let what = match e {
+            exr::error::Error::NotSupported(_) => "it is of a kind that is not read",
+            exr::error::Error::Io(_) => "it ends too early",
+            _ => "its bytes are not of that format",
+        };
+        Error::syntax(format!("damaged EXR picture: {what}"))
+    };
     let about =
         exr::meta::MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(damaged)?;
     for header in &about.headers {

@@ -15,22 +15,60 @@ use ply_rs_bw::ply::{
 use crate::error::{Error, Result};
 use crate::scene::Mesh;
 
+/// A mesh as the file has it, and what was made of values that are none.
+#[derive(Debug)]
+pub(super) struct Read {
+    /// Its normals may have any length, none, or be no numbers at all.
+    pub(super) mesh: Mesh,
+    pub(super) warnings: Vec<String>,
+}
+
 /// Reads a mesh; errors carry no path.
-pub(super) fn from_bytes(bytes: &[u8]) -> Result<Mesh> {
+pub(super) fn from_bytes(bytes: &[u8]) -> Result<Read> {
     let unpacked = super::gunzip(bytes)?;
     let bytes = unpacked.as_deref().unwrap_or(bytes);
+    let replaced = without_words(bytes);
+    let bytes = replaced.as_deref().unwrap_or(bytes);
     // The parser is other people's; a panic in it is an error of the file, not of the program.
     catch_unwind(AssertUnwindSafe(|| parse(bytes)))
         .unwrap_or_else(|_| Err(Error::syntax("damaged PLY file: its parser failed")))
 }
 
-fn parse(bytes: &[u8]) -> Result<Mesh> {
-    let damaged = |e: ParseError| {
-        let text: String = e.to_string().chars().filter(|c| !c.is_control()).take(200).collect();
-        Error::syntax(format!("damaged PLY file: {text}"))
-    };
+/// An ASCII file with a number beyond all f32 in the place of `nan` and `inf`, which the parser
+/// does not know; `None` where there are none.
+fn without_words(bytes: &[u8]) -> Option<Vec<u8>> {
+    const END: &[u8] = b"end_header";
+    let header = bytes.windows(END.len()).position(|window| window == END)? + END.len();
+    let (header, data) = bytes.split_at(header);
+    let ascii = header.windows(12).any(|window| window == b"format ascii");
+    if !ascii || !data.iter().any(|byte| matches!(byte, b'n' | b'N')) {
+        return None;
+    }
+    let mut replaced = header.to_vec();
+    for piece in data.split_inclusive(u8::is_ascii_whitespace) {
+        let end = piece.iter().position(u8::is_ascii_whitespace).unwrap_or(piece.len());
+        let (word, space) = piece.split_at(end);
+        let bare = word.strip_prefix(b"-").or(word.strip_prefix(b"+")).unwrap_or(word);
+        let known = [&b"nan"[..], b"inf", b"infinity"];
+        let other = known.iter().any(|known| bare.eq_ignore_ascii_case(known));
+        replaced.extend_from_slice(if other { b"1e999" } else { word });
+        replaced.extend_from_slice(space);
+    }
+    Some(replaced)
+}
+
+fn parse(bytes: &[u8]) -> Result<Read> {
     let mut reader = Reader::new(bytes);
-    let header = Parser::<Vertex>::new().read_header(&mut reader).map_err(damaged)?;
+    let header = Parser::<Vertex>::new().read_header(&mut reader).map_err(|e| {
+        damaged(&e, "its header", "ply, format, comment, obj_info, element, property, end_header")
+    })?;
+    let damaged = |e: ParseError| {
+        damaged(
+            &e,
+            "the data behind its header",
+            "as many numbers of such types as the header says",
+        )
+    };
     let mut vertices: Option<Vec<Vertex>> = None;
     let mut faces: Option<Vec<Face>> = None;
     let (mut has_normals, mut has_uvs) = (false, false);
@@ -86,6 +124,12 @@ fn parse(bytes: &[u8]) -> Result<Mesh> {
     to_mesh(&vertices, &faces, has_normals, has_uvs)
 }
 
+/// What the parser stumbled over, in our words: its own name its types.
+fn damaged(error: &ParseError, part: &str, allowed: &str) -> Error {
+    let line = error.line().map_or_else(String::new, |line| format!(", at line {line}"));
+    Error::syntax(format!("damaged PLY file: {part} cannot be read{line}; allowed: {allowed}"))
+}
+
 /// Names of texture coordinates in use.
 const UV_NAMES: [[&str; 2]; 4] =
     [["u", "v"], ["s", "t"], ["texture_u", "texture_v"], ["texture_s", "texture_t"]];
@@ -120,7 +164,7 @@ fn check_count(element: &ElementDef, encoding: Encoding, bytes: usize) -> Result
     Err(Error::invalid(message))
 }
 
-fn to_mesh(vertices: &[Vertex], faces: &[Face], has_normals: bool, has_uvs: bool) -> Result<Mesh> {
+fn to_mesh(vertices: &[Vertex], faces: &[Face], has_normals: bool, has_uvs: bool) -> Result<Read> {
     if u32::try_from(vertices.len()).is_err() {
         return Err(Error::invalid(format!(
             "the PLY file has {} vertices; allowed: at most {}",
@@ -152,19 +196,22 @@ fn to_mesh(vertices: &[Vertex], faces: &[Face], has_normals: bool, has_uvs: bool
     let positions: Vec<Vec3> = vertices.iter().map(|v| v.position).collect();
     let normals: Vec<Vec3> =
         if has_normals { vertices.iter().map(|v| v.normal).collect() } else { Vec::new() };
-    let uvs: Vec<Vec2> = if has_uvs { vertices.iter().map(|v| v.uv).collect() } else { Vec::new() };
-    let finite = |i: usize| {
-        vertices[i].position.is_finite()
-            && vertices[i].normal.is_finite()
-            && vertices[i].uv.is_finite()
-    };
-    if let Some(bad) = (0..vertices.len()).find(|i| !finite(*i)) {
+    let mut uvs: Vec<Vec2> =
+        if has_uvs { vertices.iter().map(|v| v.uv).collect() } else { Vec::new() };
+    if let Some(bad) = positions.iter().position(|p| !p.is_finite()) {
         return Err(Error::invalid(format!(
-            "vertex {bad} of the PLY file is {:?}; allowed: finite numbers",
-            vertices[bad]
+            "vertex {bad} of the PLY file is at {}; allowed: finite numbers",
+            positions[bad]
         )));
     }
-    Ok(Mesh { positions, normals, uvs, triangles })
+    let mut warnings = Vec::new();
+    if let Some(bad) = uvs.iter().position(|uv| !uv.is_finite()) {
+        warnings.push(format!(
+            "vertex {bad} has texture coordinates that are not finite; such ones are taken as 0 0"
+        ));
+        uvs.iter_mut().filter(|uv| !uv.is_finite()).for_each(|uv| *uv = Vec2::ZERO);
+    }
+    Ok(Read { mesh: Mesh { positions, normals, uvs, triangles }, warnings })
 }
 
 /// An element `vertex`.

@@ -32,6 +32,20 @@ pub(super) struct Motions {
     pub(super) time: [f32; 2],
 }
 
+impl Motions {
+    /// Whether a node or one above it is animated, for all nodes.
+    pub(super) fn moving(&self, root: &Root) -> Vec<bool> {
+        let mut below = vec![false; root.nodes.len()];
+        let mut stack: Vec<usize> = self.by_node.keys().copied().collect();
+        while let Some(n) = stack.pop() {
+            if !std::mem::replace(&mut below[n], true) {
+                stack.extend(root.nodes[n].children.iter().flatten().map(|child| child.value()));
+            }
+        }
+        below
+    }
+}
+
 /// Reads all animations; they play at the same time, and where two drive the same property of a
 /// node the first one counts.
 pub(super) fn read(root: &Root, buffers: &Buffers<'_>, warnings: &mut Warnings) -> Result<Motions> {
@@ -55,9 +69,10 @@ pub(super) fn read(root: &Root, buffers: &Buffers<'_>, warnings: &mut Warnings) 
                 return Err(Error::invalid(message).at_json(format!("{place}.sampler")));
             };
             if property == Property::MorphTargetWeights {
-                let message = "animated morph targets deform the mesh; allowed: rigid parts \
-                               (translation, rotation, scale)";
-                return Err(Error::unsupported(message).at_json(format!("{place}.target.path")));
+                warnings.add(format!(
+                    "{place}.target.path: animated morph targets are not followed; the mesh keeps its rest pose"
+                ));
+                continue;
             }
             let motion = motions.by_node.entry(node).or_default();
             motion.place.clone_from(&place);

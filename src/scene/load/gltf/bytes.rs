@@ -301,16 +301,32 @@ impl<'a> Buffers<'a> {
         index: Index<Accessor>,
         range: Option<Range<usize>>,
     ) -> Result<Vec<[f32; N]>> {
+        let values = self.numbers(index, range.clone())?;
+        if let Some(i) = values.iter().position(|v: &[f32; N]| v.iter().any(|x| !x.is_finite())) {
+            let element = range.map_or(0, |range| range.start) + i;
+            let message = format!("element {element} is {:?}; allowed: finite numbers", values[i]);
+            return Err(Error::invalid(message).at_json(format!("accessors[{}]", index.value())));
+        }
+        Ok(values)
+    }
+
+    /// As [`Buffers::floats`], where the numbers may be infinite or none.
+    pub(super) fn numbers<const N: usize>(
+        &self,
+        index: Index<Accessor>,
+        range: Option<Range<usize>>,
+    ) -> Result<Vec<[f32; N]>> {
         let (accessor, count, place) = self.accessor(index)?;
         let wanted = match N {
             1 => Type::Scalar,
             2 => Type::Vec2,
             3 => Type::Vec3,
-            _ => Type::Vec4,
+            4 => Type::Vec4,
+            _ => Type::Mat4,
         };
         let component = component(accessor, &place)?;
         if accessor.type_ != Checked::Valid(wanted) {
-            let message = format!("is {}; allowed here: {wanted:?}", shown(accessor));
+            let message = format!("is {}; allowed here: {}", shown(accessor), type_name(wanted));
             return Err(Error::invalid(message).at_json(format!("{place}.type")));
         }
         if component == ComponentType::U32 {
@@ -341,11 +357,6 @@ impl<'a> Buffers<'a> {
                 }
             }
         }
-        if let Some(i) = values.iter().position(|v| v.iter().any(|x| !x.is_finite())) {
-            let message =
-                format!("element {} is {:?}; allowed: finite numbers", range.start + i, values[i]);
-            return Err(Error::invalid(message).at_json(place));
-        }
         Ok(values)
     }
 
@@ -354,7 +365,7 @@ impl<'a> Buffers<'a> {
         let (accessor, count, place) = self.accessor(index)?;
         let component = component(accessor, &place)?;
         if accessor.type_ != Checked::Valid(Type::Scalar) {
-            let message = format!("is {}; allowed for indices: Scalar", shown(accessor));
+            let message = format!("is {}; allowed for indices: SCALAR", shown(accessor));
             return Err(Error::invalid(message).at_json(format!("{place}.type")));
         }
         self.spend(count as u64, &place)?;
@@ -426,10 +437,23 @@ fn missing(list: &str, index: usize) -> Error {
     Error::invalid("is referred to, but does not exist").at_json(format!("{list}[{index}]"))
 }
 
-fn shown(accessor: &Accessor) -> String {
+fn shown(accessor: &Accessor) -> &'static str {
     match accessor.type_ {
-        Checked::Valid(kind) => format!("{kind:?}"),
-        Checked::Invalid => "unknown".to_string(),
+        Checked::Valid(kind) => type_name(kind),
+        Checked::Invalid => "unknown",
+    }
+}
+
+/// As glTF writes it.
+fn type_name(kind: Type) -> &'static str {
+    match kind {
+        Type::Scalar => "SCALAR",
+        Type::Vec2 => "VEC2",
+        Type::Vec3 => "VEC3",
+        Type::Vec4 => "VEC4",
+        Type::Mat2 => "MAT2",
+        Type::Mat3 => "MAT3",
+        Type::Mat4 => "MAT4",
     }
 }
 

@@ -15,6 +15,7 @@ use gltf::json::{Index, Root, Texture as GivenTexture};
 use super::super::{Encoding, Warnings, picture};
 use super::bytes::{Buffers, Resource, resolve};
 use crate::error::{Error, Result};
+use crate::scene::load::black::is_black;
 use crate::scene::{
     Channel, Color, Emission, ImageData, ImageId, Material, MaterialId, Roughness, Scalar, Scene,
     Texture, TextureId, TextureKind, Wrap,
@@ -22,6 +23,12 @@ use crate::scene::{
 
 /// All pictures of a file together may not take more decoded bytes: 4 GiB.
 const MAX_PICTURE_BYTES: u64 = 1 << 32;
+
+/// An index of refraction whose reflectance at normal incidence rounds to 1.
+const INFINITE_IOR: f32 = 1e9;
+
+/// The source of a texture that names none.
+const NO_SOURCE: usize = u32::MAX as usize;
 
 /// What a primitive takes from its material.
 #[derive(Clone, Copy, Debug)]
@@ -38,7 +45,8 @@ pub(super) struct Materials<'a> {
     pub(super) root: &'a Root,
     pub(super) buffers: &'a Buffers<'a>,
     pub(super) path: &'a Path,
-    pub(super) pictures: HashMap<(usize, Encoding), ImageId>,
+    /// `None` cannot be read and has been warned of.
+    pub(super) pictures: HashMap<(usize, Encoding), Option<ImageId>>,
     pub(super) picture_bytes: u64,
 }
 
@@ -63,7 +71,7 @@ impl Materials<'_> {
             let place = at("pbrMetallicRoughness.baseColorTexture");
             self.texture(info, Encoding::Srgb, factor, &place, &mut uv_set, scene, warnings)
         });
-        let base = base.transpose()?;
+        let base = base.transpose()?.flatten();
         let base_color = color(base, factor.truncate());
 
         let metallic = pbr.metallic_factor.0;
@@ -75,12 +83,16 @@ impl Materials<'_> {
             let factor = Vec4::new(1.0, roughness, metallic, 1.0);
             self.texture(info, Encoding::Linear, factor, &place, &mut uv_set, scene, warnings)
         });
-        let both = both.transpose()?;
+        let both = both.transpose()?.flatten();
 
         let extensions = given.extensions.clone().unwrap_or_default();
-        let ior = extensions.ior.map_or(1.5, |ior| ior.ior.0);
+        let mut ior = extensions.ior.map_or(1.5, |ior| ior.ior.0);
+        if ior == 0.0 {
+            // The extension's word for an infinite index: it reflects all at any angle.
+            ior = INFINITE_IOR;
+        }
         if !(ior.is_finite() && ior >= 1.0) {
-            let message = format!("is {ior}; allowed: at least 1");
+            let message = format!("is {ior}; allowed: 0, or at least 1");
             return Err(Error::invalid(message).at_json(at("extensions.KHR_materials_ior.ior")));
         }
 
@@ -97,13 +109,13 @@ impl Materials<'_> {
                 let place = at("specularTexture");
                 self.texture(info, Encoding::Linear, factor, &place, &mut uv_set, scene, warnings)
             });
-            specular = scalar(texture.transpose()?, Channel::Alpha, strength);
+            specular = scalar(texture.transpose()?.flatten(), Channel::Alpha, strength);
             let texture = given.specular_color_texture.as_ref().map(|info| {
                 let place = at("specularColorTexture");
                 let factor = tint.extend(1.0);
                 self.texture(info, Encoding::Srgb, factor, &place, &mut uv_set, scene, warnings)
             });
-            specular_color = color(texture.transpose()?, tint);
+            specular_color = color(texture.transpose()?.flatten(), tint);
         }
 
         let mut transmission = Scalar::Constant(0.0);
@@ -116,7 +128,7 @@ impl Materials<'_> {
                 let place = at("transmissionTexture");
                 self.texture(info, Encoding::Linear, factor, &place, &mut uv_set, scene, warnings)
             });
-            transmission = scalar(texture.transpose()?, Channel::Red, share);
+            transmission = scalar(texture.transpose()?.flatten(), Channel::Red, share);
         }
         let thick = extensions.volume.as_ref().is_some_and(|v| v.thickness_factor.0 > 0.0);
         let clear = matches!(transmission, Scalar::Constant(share) if share == 1.0)
@@ -161,8 +173,10 @@ impl Materials<'_> {
                 let factor = emissive.extend(1.0);
                 self.texture(info, Encoding::Srgb, factor, &place, &mut uv_set, scene, warnings)
             });
-            let radiance = color(texture.transpose()?, emissive);
-            emission = Some(Emission { radiance, scale: strength, two_sided: given.double_sided });
+            let radiance = color(texture.transpose()?.flatten(), emissive);
+            let emits = !is_black(scene, radiance);
+            let two_sided = given.double_sided;
+            emission = emits.then_some(Emission { radiance, scale: strength, two_sided });
         }
 
         let coverage = scalar(base, Channel::Alpha, factor.w);
@@ -192,6 +206,11 @@ impl Materials<'_> {
             }
         };
 
+        // What is not there sends nothing; an emitter that no ray meets is another thing.
+        if matches!(alpha, Some(Scalar::Constant(0.0))) {
+            emission = None;
+        }
+
         let material = if thick && clear {
             if factor.truncate() != Vec3::ONE || base.is_some() {
                 warnings
@@ -216,7 +235,7 @@ impl Materials<'_> {
         Ok(Surface { material: scene.add_material(material), emission, alpha, uv_set })
     }
 
-    /// A texture times `factor`.
+    /// A texture times `factor`; `None` where its picture cannot be read, which is warned of.
     #[expect(clippy::too_many_arguments, reason = "one call's worth of context for one texture")]
     fn texture(
         &mut self,
@@ -227,7 +246,15 @@ impl Materials<'_> {
         uv_set: &mut Option<u32>,
         scene: &mut Scene,
         warnings: &mut Warnings,
-    ) -> Result<TextureId> {
+    ) -> Result<Option<TextureId>> {
+        let given = self.root.get(info.index).ok_or_else(|| {
+            let message =
+                format!("refers to textures[{}], which does not exist", info.index.value());
+            Error::invalid(message).at_json(format!("{place}.index"))
+        })?;
+        let Some(image) = self.picture(given, info.index, encoding, scene, warnings)? else {
+            return Ok(None);
+        };
         let transform =
             info.extensions.as_ref().and_then(|e| e.texture_transform.clone()).unwrap_or_default();
         let set = transform.tex_coord.unwrap_or(info.tex_coord);
@@ -247,22 +274,16 @@ impl Materials<'_> {
             let place = format!("{place}.extensions.KHR_texture_transform");
             return Err(Error::invalid(message).at_json(place));
         }
-        let given = self.root.get(info.index).ok_or_else(|| {
-            let message =
-                format!("refers to textures[{}], which does not exist", info.index.value());
-            Error::invalid(message).at_json(format!("{place}.index"))
-        })?;
-        let image = self.picture(given, info.index, encoding, scene)?;
         let wrap = self.wrap(given, info.index, warnings);
         let kind = TextureKind::Image { image, wrap, scale: 1.0, invert: false };
         let texture = scene.add_texture(Texture { kind, mapping });
         if factor == Vec4::ONE {
-            return Ok(texture);
+            return Ok(Some(texture));
         }
         let kind = TextureKind::Constant(factor);
         let second = scene.add_texture(Texture { kind, mapping: Affine2::IDENTITY });
         let kind = TextureKind::Product { first: texture, second };
-        Ok(scene.add_texture(Texture { kind, mapping: Affine2::IDENTITY }))
+        Ok(Some(scene.add_texture(Texture { kind, mapping: Affine2::IDENTITY })))
     }
 
     fn wrap(
@@ -299,31 +320,50 @@ impl Materials<'_> {
         index: Index<GivenTexture>,
         encoding: Encoding,
         scene: &mut Scene,
-    ) -> Result<ImageId> {
+        warnings: &mut Warnings,
+    ) -> Result<Option<ImageId>> {
         let i = given.source.value();
         if let Some(&id) = self.pictures.get(&(i, encoding)) {
             return Ok(id);
+        }
+        if i == NO_SOURCE {
+            warnings.add(format!(
+                "textures[{}].source: missing; its picture is an extension's, which is not read: the texture is left out",
+                index.value()
+            ));
+            return Ok(None);
         }
         let place = format!("images[{i}]");
         let source = self.root.get(given.source).ok_or_else(|| {
             let place = format!("textures[{}].source", index.value());
             Error::invalid(format!("refers to {place}, which does not exist")).at_json(place)
         })?;
-        let image = match (&source.uri, source.buffer_view) {
+        let (place, image) = match (&source.uri, source.buffer_view) {
             (Some(uri), _) => {
-                let at = |e: Error| e.at_json(format!("{place}.uri"));
-                match resolve(uri, self.path).map_err(at)? {
+                let place = format!("{place}.uri");
+                let resource = resolve(uri, self.path).map_err(|e| e.at_json(place.clone()))?;
+                let image = match resource {
                     Resource::Inline(bytes) => picture::image_from_bytes(&bytes, encoding),
                     Resource::File(file) => picture::load_image(&file, encoding),
-                }
-                .map_err(at)?
+                };
+                (place, image)
             }
-            (None, Some(view)) => picture::image_from_bytes(self.buffers.view(view)?, encoding)
-                .map_err(|e| e.at_json(format!("{place}.bufferView")))?,
+            (None, Some(view)) => {
+                let image = picture::image_from_bytes(self.buffers.view(view)?, encoding);
+                (format!("{place}.bufferView"), image)
+            }
             (None, None) => {
                 let message = "has neither uri nor bufferView; allowed: one of them";
                 return Err(Error::invalid(message).at_json(place));
             }
+        };
+        let image = match image {
+            Err(error) if error.is_unsupported() => {
+                warnings.add(format!("{place}: {error}; the texture is left out"));
+                self.pictures.insert((i, encoding), None);
+                return Ok(None);
+            }
+            other => other.map_err(|e| e.at_json(place.clone()))?,
         };
         let pixel = match &image.data {
             ImageData::Srgb8(_) | ImageData::Linear8(_) => 4,
@@ -337,8 +377,8 @@ impl Materials<'_> {
         }
         scene.images.push(Arc::new(image));
         let id = ImageId((scene.images.len() - 1) as u32);
-        self.pictures.insert((i, encoding), id);
-        Ok(id)
+        self.pictures.insert((i, encoding), Some(id));
+        Ok(Some(id))
     }
 }
 

@@ -25,7 +25,11 @@ impl Builder {
     }
 
     pub(super) fn film(&mut self, place: &Place, file: &mut File<'_>) -> Result<()> {
-        let (_, params) = file.params("Film", place, &[])?;
+        let (kind, params) = file.params("Film", place, &[])?;
+        if kind == "image" {
+            let warning = super::of_version_3("Film \"image\"");
+            self.warnings.add(format!("{place}: {warning}; what follows may mean something else"));
+        }
         for (i, name) in ["xresolution", "yresolution"].into_iter().enumerate() {
             if let Some(pixels) = params.integer(name)? {
                 match u32::try_from(pixels) {

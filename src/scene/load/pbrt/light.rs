@@ -9,8 +9,10 @@ use super::spectrum::{self, Role};
 use super::{Builder, Encoding, shorten};
 use crate::error::{Result, suggest};
 use crate::math::luminance;
+use crate::scene::load::black::is_black;
 use crate::scene::{
-    Color, Emission, EnvironmentMapping, Image, ImageData, Light, LightKind, SpotFalloff, Texture,
+    Color, Emission, EnvironmentMapping, Image, ImageData, Light, LightKind, Scene, SpotFalloff,
+    Texture,
 };
 
 const KINDS: [&str; 4] = ["infinite", "distant", "point", "spot"];
@@ -220,7 +222,10 @@ fn without_negatives(image: &Image) -> Option<Image> {
 }
 
 /// Whether an emission is above zero anywhere.
-pub(super) fn emits(emission: &Emission) -> bool {
-    let dark = matches!(emission.radiance, Color::Constant(radiance) if luminance(radiance) == 0.0);
+pub(super) fn emits(scene: &Scene, emission: &Emission) -> bool {
+    let dark = match emission.radiance {
+        Color::Constant(radiance) => luminance(radiance) == 0.0,
+        textured => is_black(scene, textured),
+    };
     !dark && emission.scale > 0.0
 }

@@ -3,7 +3,7 @@
 use glam::Vec3;
 
 use super::params::{Params, Place, Type};
-use super::spectrum::{self, Role};
+use super::spectrum::{self, Index, Role};
 use super::{Builder, File, Surface, list, shorten};
 use crate::error::{Result, suggest};
 use crate::scene::{Color, ConductorColor, Material, MaterialId, Roughness, Scalar};
@@ -18,6 +18,21 @@ const KINDS: [&str; 9] = [
     "coatedconductor",
     "mix",
     "interface",
+];
+
+/// Materials of pbrt-v3 that pbrt-v4 does not have.
+const KINDS_OF_VERSION_3: [&str; 11] = [
+    "disney",
+    "fourier",
+    "glass",
+    "kdsubsurface",
+    "matte",
+    "metal",
+    "mirror",
+    "plastic",
+    "substrate",
+    "translucent",
+    "uber",
 ];
 
 /// Details of the surface that no material here has.
@@ -118,6 +133,10 @@ impl Builder {
             }
             "mix" => self.mix(params)?,
             "interface" | "" => return Ok(Surface::Interface),
+            other if KINDS_OF_VERSION_3.contains(&other) => {
+                let found = format!("material \"{other}\"");
+                return params.place.unsupported(super::of_version_3(found));
+            }
             other => {
                 return params.place.unsupported(format!(
                     "material \"{}\"; {}",
@@ -197,18 +216,20 @@ impl Builder {
         Ok(Roughness { u, v, remap: params.bool_or("remaproughness", true)? })
     }
 
-    /// One index of refraction.
+    /// One index of refraction: any number or unbounded spectrum.
     fn index(&mut self, params: &Params) -> Result<f32> {
-        let eta = match params.typed("eta", &[Type::Float, Type::Spectrum])? {
+        let eta = match params.typed("eta", &[Type::Float, Type::Rgb, Type::Spectrum])? {
             None => 1.5,
             Some(param) if param.kind == Type::Float => param.single()?.numbers()[0],
             Some(param) => {
-                let eta = spectrum::index_at_d(param)?;
-                self.warnings.add(format!(
-                    "{}: `eta` is taken as {eta}, its value at 587.6 nm: there is no dispersion",
-                    param.place
-                ));
-                eta
+                let Index { at_d, varies } = spectrum::index_at_d(param)?;
+                if varies {
+                    self.warnings.add(format!(
+                        "{}: `eta` is taken as {at_d}, its value at 587.6 nm: there is no dispersion",
+                        param.place
+                    ));
+                }
+                at_d
             }
         };
         if eta > 0.0 {

@@ -28,24 +28,33 @@ use glam::{DAffine3, DMat3, DMat4, DVec3, DVec4};
 
 use self::lexer::{Kind, Lexer, Token, number, shorten, unescape};
 use self::motion::Ctm;
-use self::params::{Param, Params, Place};
-use super::{Encoding, Warnings, gunzip, read};
+use self::params::{Param, Params, Place, Type, Values};
+use super::{Encoding, Warnings, emits, gunzip, read};
 use crate::error::{Error, ErrorKind, Result, suggest};
 use crate::scene::{
-    ImageId, Loaded, MaterialId, Object, ObjectId, Scene, Shape, TextureId, Transform,
+    ImageId, Instance, Loaded, MaterialId, Object, ObjectId, Scene, Shape, TextureId, Transform,
 };
 
 /// Files inside files.
 const MAX_INCLUDE_DEPTH: usize = 32;
 
-/// All files that a scene includes: two that include each other's copies would go on for ever.
-const MAX_INCLUDES: usize = 4096;
+/// Bytes of text that a scene may include, with repetition: 8 GiB. A few files that include each
+/// other's copies would go on for ever.
+const MAX_INCLUDED_BYTES: u64 = 1 << 33;
+
+/// What including a file costs at least, in bytes of [`MAX_INCLUDED_BYTES`]: it has to be opened.
+const INCLUDE_BYTES: u64 = 4096;
 
 /// Nested attributes.
 const MAX_ATTRIBUTE_DEPTH: usize = 4096;
 
-/// Placements of objects.
-const MAX_INSTANCES: usize = 1 << 24;
+/// Bytes of placed objects: 4 GiB.
+const MAX_INSTANCE_BYTES: u64 = 1 << 32;
+
+/// What a file says that only pbrt-v3 understands.
+fn of_version_3(what: impl std::fmt::Display) -> String {
+    format!("{what} is pbrt-v3; allowed: pbrt-v4 (pbrt-v4's `pbrt --upgrade` translates files)")
+}
 
 const DIRECTIVES: [&str; 38] = [
     "Accelerator",
@@ -155,10 +164,14 @@ enum Opened {
 struct Builder {
     scene: Scene,
     warnings: Warnings,
+    /// The first file.
+    path: PathBuf,
     /// Of the first file.
     folder: PathBuf,
+    /// Those that are being read, each included by the one before it.
     files: Vec<PathBuf>,
-    includes: usize,
+    /// What is left of [`MAX_INCLUDED_BYTES`].
+    included_bytes: u64,
     in_world: bool,
     state: State,
     stack: Vec<(Opened, State, Place)>,
@@ -195,9 +208,10 @@ impl Builder {
         Self {
             scene,
             warnings: Warnings::default(),
+            path: path.to_path_buf(),
             folder: path.parent().map(Path::to_path_buf).unwrap_or_default(),
             files: Vec::new(),
-            includes: 0,
+            included_bytes: MAX_INCLUDED_BYTES,
             in_world: false,
             state: State {
                 ctm: Ctm::IDENTITY,
@@ -227,7 +241,8 @@ impl Builder {
     fn run(&mut self, bytes: &[u8], path: Arc<Path>) -> Result<()> {
         let unpacked = gunzip(bytes).map_err(|e| e.with_path(&path))?;
         let bytes = unpacked.as_deref().unwrap_or(bytes);
-        let mut file = File::new(bytes, path.clone()).map_err(|e| e.with_path(&path))?;
+        let folder = self.folder.clone();
+        let mut file = File::new(bytes, path.clone(), folder).map_err(|e| e.with_path(&path))?;
         self.files.push(path.to_path_buf());
         loop {
             let token = file.next()?;
@@ -548,14 +563,20 @@ impl Builder {
                 shorten(&name)
             ));
         }
-        self.includes += 1;
-        if self.files.len() >= MAX_INCLUDE_DEPTH || self.includes > MAX_INCLUDES {
-            let message = format!(
-                "too many files; allowed: {MAX_INCLUDE_DEPTH} inside each other, {MAX_INCLUDES} in all"
-            );
-            return place.invalid(message);
+        if self.files.len() >= MAX_INCLUDE_DEPTH {
+            return place.invalid(format!(
+                "more than {MAX_INCLUDE_DEPTH} files inside each other; allowed: as many"
+            ));
         }
         let bytes = self.read_beside(&path, &name, place)?;
+        let bytes = gunzip(&bytes).map_err(|e| e.with_path(&path))?.unwrap_or(bytes);
+        let cost = (bytes.len() as u64).max(INCLUDE_BYTES);
+        let Some(left) = self.included_bytes.checked_sub(cost) else {
+            return place.invalid(format!(
+                "the scene includes more than {MAX_INCLUDED_BYTES} bytes; allowed: as many, every file with at least {INCLUDE_BYTES}"
+            ));
+        };
+        self.included_bytes = left;
         self.run(&bytes, Arc::from(path))
     }
 
@@ -604,9 +625,11 @@ impl Builder {
             let known = list(name, self.objects.keys().map(String::as_str));
             return place.invalid(format!("no object \"{}\"; {known}", shorten(name)));
         };
-        if self.scene.instances.len() + parts.len() > MAX_INSTANCES {
-            return place
-                .invalid(format!("more than {MAX_INSTANCES} placed objects; allowed: as many"));
+        let placed = (self.scene.instances.len() + parts.len()) as u64;
+        if placed * size_of::<Instance>() as u64 > MAX_INSTANCE_BYTES {
+            return place.invalid(format!(
+                "{placed} placed objects need more than {MAX_INSTANCE_BYTES} bytes; allowed: as many"
+            ));
         }
         let to_world = self.current_transform(place)?;
         for part in parts {
@@ -650,7 +673,8 @@ impl Builder {
             ));
         }
         if !self.camera_seen {
-            self.warnings.add("no Camera: at the origin, along +z, 90 degrees");
+            let file = self.path.display();
+            self.warnings.add(format!("{file}: no Camera: at the origin, along +z, 90 degrees"));
         }
         if !self.shapes.is_empty() {
             let shapes = std::mem::take(&mut self.shapes);
@@ -660,8 +684,13 @@ impl Builder {
         if self.scene.moves() {
             self.scene.time = self.times.map(|t| t as f32);
         }
+        if self.scene.lights.is_empty() && !emits(&self.scene) {
+            let file = self.path.display();
+            self.warnings.add(format!("{file}: no light; all is black"));
+        }
         self.scene.validate()?;
-        Ok(Loaded { scene: self.scene, warnings: self.warnings.into_vec() })
+        super::warn_of_geometry(&self.scene, self.warnings.about(&self.path));
+        Ok(Loaded { scene: self.scene, warnings: self.warnings.into_vec(&self.path) })
     }
 }
 
@@ -743,11 +772,13 @@ fn look_at(numbers: [f64; 9], place: &Place) -> Result<DAffine3> {
 struct File<'a> {
     lexer: Lexer<'a>,
     path: Arc<Path>,
+    /// Of the first file.
+    folder: PathBuf,
 }
 
 impl<'a> File<'a> {
-    fn new(bytes: &'a [u8], path: Arc<Path>) -> Result<Self> {
-        Ok(Self { lexer: Lexer::new(bytes)?, path })
+    fn new(bytes: &'a [u8], path: Arc<Path>, folder: PathBuf) -> Result<Self> {
+        Ok(Self { lexer: Lexer::new(bytes)?, path, folder })
     }
 
     fn place(&self, token: &Token<'_>) -> Place {
@@ -816,12 +847,37 @@ impl<'a> File<'a> {
         let mut list = Vec::new();
         while let token @ Token { kind: Kind::Quoted(_), .. } = self.peek()? {
             self.next()?;
-            list.push(
-                Param::parse(&mut self.lexer, token, &self.path)
-                    .map_err(|e| e.with_path(&self.path))?,
-            );
+            let mut param = Param::parse(&mut self.lexer, token, &self.path)
+                .map_err(|e| e.with_path(&self.path))?;
+            self.read_spectrum(&mut param)?;
+            list.push(param);
         }
         Ok((kind, list))
+    }
+
+    /// Puts the numbers of a file in the place of its name, where a spectrum is one: wavelengths
+    /// and values, `#` before comments.
+    fn read_spectrum(&self, param: &mut Param) -> Result<()> {
+        let (Type::Spectrum, Values::Strings(names)) = (param.kind, &param.values) else {
+            return Ok(());
+        };
+        let [name] = &names[..] else { return Ok(()) };
+        let beside = self.path.parent().unwrap_or(Path::new(""));
+        let known = ["glass-", "metal-", "stdillum-"].iter().any(|start| name.starts_with(start));
+        let paths = [&*self.folder, beside].map(|folder| folder.join(name));
+        let Some(path) = paths.iter().find(|path| !known && path.is_file()) else { return Ok(()) };
+        let bytes = read(path).map_err(|e| about_file(name, &param.place, e))?;
+        let text = String::from_utf8_lossy(&bytes);
+        let lines = text.lines().filter_map(|line| line.split('#').next());
+        let numbers: Option<Vec<f64>> = lines.flat_map(str::split_whitespace).map(number).collect();
+        let Some(numbers) = numbers else {
+            return param.place.invalid(format!(
+                "\"{}\" holds more than numbers; allowed: wavelengths and values, comments after `#`",
+                shorten(name)
+            ));
+        };
+        param.values = Values::Numbers(numbers);
+        Ok(())
     }
 
     /// A directive's kind and its parameters.
@@ -837,5 +893,7 @@ impl<'a> File<'a> {
     }
 }
 
+#[cfg(test)]
+mod cases;
 #[cfg(test)]
 mod tests;

@@ -16,7 +16,7 @@ use super::motion::similarity;
 use super::params::{Params, Type};
 use super::{Builder, Part, Surface, about_file, shorten};
 use crate::error::{Result, suggest};
-use crate::scene::load::ply;
+use crate::scene::load::{normals, ply};
 use crate::scene::{Geometry, Mesh, Object, Scalar, Shape, Transform};
 
 const KINDS: [&str; 5] = ["trianglemesh", "plymesh", "sphere", "disk", "bilinearmesh"];
@@ -37,7 +37,7 @@ impl Builder {
             "plymesh" => Geometry::Mesh(Arc::new(self.ply_mesh(params)?)),
             "bilinearmesh" => Geometry::Mesh(Arc::new(self.bilinear_mesh(params)?)),
             "sphere" => sphere(params)?,
-            "disk" => disk(params)?,
+            "disk" => self.disk(params)?,
             other => {
                 return params.place.unsupported(format!(
                     "Shape \"{}\"; {}",
@@ -69,15 +69,9 @@ impl Builder {
             }
         };
         let emission = match self.state.area_light.clone() {
-            Some(light) => Some(self.emission(&light)?).filter(emits),
+            Some(light) => Some(self.emission(&light)?).filter(|e| emits(&self.scene, e)),
             None => None,
         };
-        if emission.is_some() && matches!(alpha, Some(Scalar::Constant(0.0))) {
-            self.warnings.add(format!(
-                "{}: a shape that emits with `alpha` 0 is not there (pbrt: a light that no ray meets)",
-                params.place
-            ));
-        }
         let reverse_orientation = self.state.reverse_orientation;
         let shape = Shape { geometry, material, emission, alpha, reverse_orientation };
         self.place_shape(shape, params)
@@ -115,10 +109,13 @@ impl Builder {
                 ));
             }
         }
-        if shape.reverse_orientation_of_normals(self.state.reverse_orientation) {
+        if let Some(lost) = shape.set_normals(self.state.reverse_orientation) {
+            let file = params.string("filename")?.map(|f| format!(" of \"{}\"", shorten(f)));
             self.warnings.add(format!(
-                "{}: {} has vertex normals of length 0: its faces' own are used",
-                params.place, params.owner
+                "{}: {}{}: {lost}",
+                params.place,
+                params.owner,
+                file.unwrap_or_default()
             ));
         }
         match (&mut self.open_object, ctm.moves()) {
@@ -148,7 +145,40 @@ impl Builder {
         };
         let path = self.resolve(name, &place);
         let bytes = self.read_beside(&path, name, &place)?;
-        ply::from_bytes(&bytes).map_err(|e| about_file(name, &place, e))
+        let read = ply::from_bytes(&bytes).map_err(|e| about_file(name, &place, e))?;
+        for warning in read.warnings {
+            self.warnings.add(format!("{place}: \"{}\": {warning}", shorten(name)));
+        }
+        Ok(read.mesh)
+    }
+
+    /// A disk, or the triangles of one with a hole.
+    fn disk(&mut self, params: &Params) -> Result<Geometry> {
+        let radius = params.positive_or("radius", 1.0)?;
+        let height = params.float_or("height", 0.0)?;
+        let inner = params.float_or("innerradius", 0.0)?;
+        full_circle(params)?;
+        let center = Vec3::new(0.0, 0.0, height as f32);
+        let whole = Geometry::Disk { center, normal: Vec3::Z, radius: radius as f32 };
+        if inner == 0.0 {
+            return Ok(whole);
+        }
+        let place = params.param_place("innerradius");
+        if !(0.0..radius).contains(&inner) {
+            return place.invalid(format!(
+                "`innerradius` is {inner}; allowed: from 0 to below `radius`, {radius}"
+            ));
+        }
+        self.warnings.add(format!("{place}: the disk has a hole: triangles take its place"));
+        let mut ring = tessellate(&whole);
+        // Two rings of vertices; the second one, all in the centre, becomes the edge of the hole.
+        for i in (1..ring.positions.len()).step_by(2) {
+            let rim = ring.positions[i - 1] - center;
+            ring.positions[i] = center + rim * (inner / radius) as f32;
+        }
+        let segments = 0..SEGMENTS as u32;
+        ring.triangles.extend(segments.map(|i| [2 * i + 2, 2 * i + 3, 2 * i + 1]));
+        Ok(Geometry::Mesh(Arc::new(ring)))
     }
 
     /// Flat patches as two triangles each.
@@ -190,23 +220,21 @@ impl Builder {
 }
 
 impl Shape {
-    /// Turns the vertex normals where asked, makes them unit vectors; drops them all and returns
-    /// true where one has no direction.
-    fn reverse_orientation_of_normals(&mut self, reverse: bool) -> bool {
-        let Geometry::Mesh(mesh) = &mut self.geometry else { return false };
+    /// Makes vertex normals unit vectors, turned where asked. Triangles at a vertex whose normal
+    /// has no direction get their faces' own.
+    fn set_normals(&mut self, reverse: bool) -> Option<normals::Lost> {
+        let Geometry::Mesh(mesh) = &mut self.geometry else { return None };
         if mesh.normals.is_empty() {
-            return false;
+            return None;
         }
         let mesh = Arc::make_mut(mesh);
         let sign = if reverse { -1.0 } else { 1.0 };
-        let normals: Option<Vec<Vec3>> = mesh
+        let unit = mesh
             .normals
             .iter()
             .map(|n| n.as_dvec3().try_normalize().map(|n| (sign * n).as_vec3()))
             .collect();
-        let lost = normals.is_none();
-        mesh.normals = normals.unwrap_or_default();
-        lost
+        normals::set(mesh, unit, self.reverse_orientation)
     }
 }
 
@@ -293,23 +321,6 @@ fn sphere(params: &Params) -> Result<Geometry> {
     }
     full_circle(params)?;
     Ok(Geometry::Sphere { center: Vec3::ZERO, radius: radius as f32 })
-}
-
-fn disk(params: &Params) -> Result<Geometry> {
-    let radius = params.positive_or("radius", 1.0)?;
-    let height = params.float_or("height", 0.0)?;
-    let inner = params.float_or("innerradius", 0.0)?;
-    if inner != 0.0 {
-        return params
-            .param_place("innerradius")
-            .unsupported(format!("a disk with a hole of radius {inner}; allowed: 0"));
-    }
-    full_circle(params)?;
-    Ok(Geometry::Disk {
-        center: Vec3::new(0.0, 0.0, height as f32),
-        normal: Vec3::Z,
-        radius: radius as f32,
-    })
 }
 
 fn full_circle(params: &Params) -> Result<()> {

@@ -103,15 +103,38 @@ pub(super) fn rgb(param: &Param, role: Role) -> Result<Vec3> {
     param.place.invalid(format!("`{}` is {value}; allowed in each channel: {allowed}", param.name))
 }
 
-/// One index of refraction: of a list, its value at the sodium line's neighbour d (587.6 nm), where
-/// glass makers state it.
-pub(super) fn index_at_d(param: &Param) -> Result<f64> {
+/// An index of refraction.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Index {
+    /// At the sodium line's neighbour d (587.6 nm), where glass makers state it.
+    pub(super) at_d: f64,
+    /// Whether other wavelengths have another one.
+    pub(super) varies: bool,
+}
+
+/// The index of refraction that an `rgb` or `spectrum` parameter stands for.
+pub(super) fn index_at_d(param: &Param) -> Result<Index> {
+    let of_rgb = |rgb: Vec3| Index {
+        // Red and green as the primaries' wavelengths, 611 and 549 nm, lie around 587.6 nm.
+        at_d: f64::from(rgb.x) + (587.6 - 611.0) / (549.0 - 611.0) * f64::from(rgb.y - rgb.x),
+        varies: rgb != Vec3::splat(rgb.x),
+    };
+    if param.kind == Type::Rgb {
+        return Ok(of_rgb(rgb(param, Role::Index)?));
+    }
     match &param.values {
-        Values::Numbers(_) => Ok(List::new(param)?.at(587.6, true)),
+        Values::Numbers(_) => {
+            let list = List::new(param)?;
+            let varies = list.0.chunks_exact(2).any(|pair| pair[1] != list.0[1]);
+            Ok(Index { at_d: list.at(587.6, true), varies })
+        }
         _ => {
             let name = param.text()?;
             if let Some((_, eta)) = GLASSES.iter().find(|(glass, _)| *glass == name) {
-                return Ok(*eta);
+                return Ok(Index { at_d: *eta, varies: true });
+            }
+            if name.starts_with("metal-") {
+                return Ok(of_rgb(named(param, Role::Index)?));
             }
             let known = suggest(&shorten(name), &GLASSES.map(|(glass, _)| glass));
             param.place.unsupported(format!(

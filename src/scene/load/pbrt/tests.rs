@@ -8,7 +8,7 @@ use crate::scene::{
     LightKind, Material, Mesh, Scalar, TextureKind, Wrap,
 };
 
-fn load_text(text: &str) -> Result<Loaded> {
+pub(super) fn load_text(text: &str) -> Result<Loaded> {
     from_bytes(text.as_bytes(), Path::new("scene.pbrt"))
 }
 
@@ -52,22 +52,25 @@ fn shared_scenes_have_the_shapes_and_triangles_of_their_notes() {
     }
 }
 
-/// A scene of these directives after `WorldBegin`, with whatever it warned of.
-fn world(text: &str) -> (Scene, Vec<String>) {
-    let loaded = load_text(&format!("Camera \"perspective\"\nWorldBegin\n{text}"))
+/// A scene of these directives after `WorldBegin`, with whatever it warned of but the dark.
+pub(super) fn world(text: &str) -> (Scene, Vec<String>) {
+    let mut loaded = load_text(&format!("Camera \"perspective\"\nWorldBegin\n{text}"))
         .unwrap_or_else(|e| panic!("{e}\n{text}"));
+    loaded.warnings.retain(|warning| warning != DARK);
     (loaded.scene, loaded.warnings)
 }
 
+pub(super) const DARK: &str = "scene.pbrt: no light; all is black";
+
 /// As [`world`], of a text that warns of nothing.
-fn quiet(text: &str) -> Scene {
+pub(super) fn quiet(text: &str) -> Scene {
     let (scene, warnings) = world(text);
     assert!(warnings.is_empty(), "{warnings:?}");
     scene
 }
 
 /// The message about a text whose first line is number 1.
-fn refusal(text: &str) -> String {
+pub(super) fn refusal(text: &str) -> String {
     // The prologue stands on the same line, in front.
     let error = load_text(&format!("WorldBegin {text}")).expect_err("is refused");
     error.to_string()
@@ -77,9 +80,9 @@ fn material(text: &str) -> Material {
     quiet(&format!("Material {text}")).materials[0]
 }
 
-const TRIANGLE: &str = "Shape \"trianglemesh\" \"point3 P\" [ 0 0 0 1 0 0 0 1 0 ]\n";
+pub(super) const TRIANGLE: &str = "Shape \"trianglemesh\" \"point3 P\" [ 0 0 0 1 0 0 0 1 0 ]\n";
 
-fn mesh(shape: &Shape) -> &Mesh {
+pub(super) fn mesh(shape: &Shape) -> &Mesh {
     match &shape.geometry {
         Geometry::Mesh(mesh) => mesh,
         other => panic!("{other:?} is no mesh"),
@@ -182,8 +185,8 @@ fn refusals_name_place_finding_and_what_is_allowed() {
             "scene.pbrt:2:16: `phimax` is 180; allowed: 360, the full turn",
         ),
         (
-            "\nShape \"disk\" \"float innerradius\" .5",
-            "scene.pbrt:2:14: a disk with a hole of radius 0.5; allowed: 0",
+            "\nShape \"disk\" \"float innerradius\" 1",
+            "scene.pbrt:2:14: `innerradius` is 1; allowed: from 0 to below `radius`, 1",
         ),
         ("\nShape \"trianglemesh\"", "scene.pbrt:2:1: a trianglemesh without `P`"),
         (
@@ -211,7 +214,11 @@ fn refusals_name_place_finding_and_what_is_allowed() {
             "\nScale 1 0 1 Shape \"sphere\"",
             "scene.pbrt:2:13: the current transformation is singular",
         ),
-        ("\nMaterial \"glass\"", "scene.pbrt:2:1: material \"glass\"; known: "),
+        ("\nMaterial \"glas\"", "scene.pbrt:2:1: material \"glas\"; known: "),
+        (
+            "\nMaterial \"glass\"",
+            "scene.pbrt:2:1: material \"glass\" is pbrt-v3; allowed: pbrt-v4 (",
+        ),
         (
             "\nMaterial \"diffuse\" \"rgb reflectance\" [ 0 2 0 ]",
             "scene.pbrt:2:20: `reflectance` is [0, 2, 0]; allowed in each channel: 0 to 1",
@@ -355,7 +362,7 @@ fn camera_film_and_depth() {
     let text = "Film \"rgb\" \"integer xresolution\" 80 \"integer yresolution\" [ 20 ]\nIntegrator \"volpath\" \"integer maxdepth\" 3\n\
         LookAt 1 2 3  1 2 8  0 1 0\nCamera \"perspective\" \"float fov\" 60\nWorldBegin";
     let loaded = load_text(text).unwrap();
-    assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
+    assert_eq!(loaded.warnings, [DARK]);
     let scene = loaded.scene;
     assert_eq!((scene.film, scene.depth, scene.name.as_str()), ([80, 20], 4, "scene"));
     // Left-handed: the right of the picture is +x when looking along +z with y up.
@@ -368,7 +375,10 @@ fn camera_film_and_depth() {
     );
 
     let defaults = load_text("WorldBegin").unwrap();
-    assert_eq!(defaults.warnings, ["no Camera: at the origin, along +z, 90 degrees"]);
+    assert_eq!(
+        defaults.warnings,
+        ["scene.pbrt: no Camera: at the origin, along +z, 90 degrees", DARK]
+    );
     assert_eq!((defaults.scene.film, defaults.scene.depth), ([1280, 720], 6));
     let Camera { fov, .. } = defaults.scene.camera;
     assert_eq!(fov, std::f32::consts::FRAC_PI_2);
@@ -666,7 +676,8 @@ fn lights() {
 
 #[test]
 fn area_lights_belong_to_their_attributes() {
-    let scene = quiet(&format!(
+    // All of them lie in one place, which is warned of.
+    let (scene, _) = world(&format!(
         "AttributeBegin AreaLightSource \"diffuse\" \"rgb L\" [ 1 2 3 ] \"float scale\" 2 \"bool twosided\" true {TRIANGLE} AttributeEnd {TRIANGLE} \
          AreaLightSource \"diffuse\" \"rgb L\" [ 0 0 0 ] {TRIANGLE} AreaLightSource \"diffuse\" \"blackbody L\" [ 3000 ] {TRIANGLE}"
     ));
@@ -718,16 +729,16 @@ fn textures_without_files() {
 }
 
 /// A folder that is removed at the end of a test.
-struct Folder(PathBuf);
+pub(super) struct Folder(pub(super) PathBuf);
 
 impl Folder {
-    fn new(name: &str) -> Self {
+    pub(super) fn new(name: &str) -> Self {
         let path = std::env::temp_dir().join(format!("afterimage-{}-{name}", std::process::id()));
         std::fs::create_dir_all(&path).unwrap();
         Self(path)
     }
 
-    fn write(&self, name: &str, bytes: &[u8]) -> PathBuf {
+    pub(super) fn write(&self, name: &str, bytes: &[u8]) -> PathBuf {
         let path = self.0.join(name);
         std::fs::create_dir_all(path.parent().unwrap()).unwrap();
         std::fs::write(&path, bytes).unwrap();
@@ -791,7 +802,7 @@ fn pictures_as_textures_and_environments() {
     let message = load(&folder.write("bad.pbrt", bad.as_bytes())).unwrap_err().to_string();
     assert!(
         message.contains("bad.pbrt:2:32: \"text.png\": ")
-            && message.ends_with("allowed: PNG, JPEG, HDR (Radiance), EXR"),
+            && message.ends_with("allowed: PNG, JPEG, TGA, HDR (Radiance), PFM, EXR"),
         "{message}"
     );
 }

@@ -90,7 +90,7 @@ impl Builder {
         let place = params.param_place("filename").clone();
         let Some(name) = params.string("filename")?.map(str::to_string) else {
             return place.invalid(
-                "an imagemap without `filename`; allowed: the name of a PNG, JPEG, HDR or EXR file",
+                "an imagemap without `filename`; allowed: the name of a PNG, JPEG, TGA, HDR, PFM or EXR file",
             );
         };
         let encoding = match params.word_or("encoding", "sRGB", &["sRGB", "linear"])? {
