@@ -5,6 +5,8 @@
 mod cli;
 mod determinism;
 mod elision;
+#[cfg(feature = "experiment")]
+mod figures;
 #[cfg(all(feature = "gpu", feature = "load"))]
 mod gpu;
 mod laws;

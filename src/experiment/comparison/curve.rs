@@ -11,8 +11,7 @@ use crate::experiment::session::Session;
 use crate::frame::FrameLoop;
 use crate::picture::Picture;
 use crate::plan::Shot;
-use crate::report::{Curve, CurvePoint};
-use crate::stats::Moments;
+use crate::report::{Curve, CurvePoint, Sample};
 
 /// Efforts of a curve beside `effort` itself: a quarter, a half and twice of it, or two and four
 /// times an effort near 1; whole where that is all that a technique has.
@@ -37,8 +36,7 @@ struct Measured<'a> {
     effort: f32,
     frames: FrameLoop,
     judged: JudgedFrames,
-    times: Vec<f64>,
-    relmse: Moments,
+    samples: Vec<Sample>,
 }
 
 impl<'a> Measured<'a> {
@@ -56,29 +54,35 @@ impl<'a> Measured<'a> {
             effort,
             frames: session.start(&contender.technique, effort, 0)?,
             judged: JudgedFrames { frames, ..judged },
-            times: Vec::new(),
-            relmse: Moments::new(),
+            samples: Vec::new(),
         })
     }
 
     /// Renders one restart.
     fn restart(&mut self, session: &Session, index: u32, truth: &Picture) -> Result<()> {
-        let Self { contender, effort, frames, judged, times, relmse } = self;
         // Efforts of a curve are more than a hundredth apart.
-        let index = ((100.0 * *effort) as u32).wrapping_mul(4096).wrapping_add(index);
-        frames.restart(seed(session.shot.run, SeedUse::Curve, contender.number, index));
-        let picture = judged_picture(session, frames, *judged, |at, frame| {
-            if at > 0 || judged.frames == 1 {
-                times.push(frame.milliseconds());
-            }
+        let index = ((100.0 * self.effort) as u32).wrapping_mul(4096).wrapping_add(index);
+        let seed = seed(session.shot.run, SeedUse::Curve, self.contender.number, index);
+        let mut sample = Sample { seed, ..Sample::default() };
+        self.frames.restart(seed);
+        let picture = judged_picture(session, &mut self.frames, self.judged, |_, frame| {
+            sample.ms.push(frame.milliseconds());
+            sample.non_finite += frame.counters.non_finite;
         })?;
-        relmse.push(figures::relmse(&picture, truth)?);
+        sample.metrics.insert("relmse".to_string(), figures::relmse(&picture, truth)?);
+        self.samples.push(sample);
         Ok(())
     }
 
-    fn point(&self) -> CurvePoint {
-        let [ms, _] = median_p99(&self.times);
-        CurvePoint { effort: self.effort, ms, relmse: figures::over_restarts(&self.relmse) }
+    fn point(self) -> CurvePoint {
+        let times: Vec<f64> = self.samples.iter().flat_map(Sample::steady).copied().collect();
+        let relmse = self.samples.iter().map(|sample| sample.metrics["relmse"]).collect();
+        CurvePoint {
+            effort: self.effort,
+            ms: median_p99(&times)[0],
+            relmse: figures::over_restarts(&relmse),
+            samples: self.samples,
+        }
     }
 }
 
@@ -127,11 +131,12 @@ impl Comparison {
 impl Contender {
     /// The curve with the point that the restarts themselves give.
     fn own_curve(&self) -> Curve {
-        let relmse = self.metrics.iter().find(|(name, _)| *name == "relmse");
-        let point = relmse.map(|(_, moments)| CurvePoint {
+        let relmse = self.metric("relmse");
+        let point = (relmse.count() > 0).then(|| CurvePoint {
             effort: self.effort,
             ms: self.median(),
-            relmse: figures::over_restarts(moments),
+            relmse: figures::over_restarts(&relmse),
+            samples: Vec::new(),
         });
         Curve { technique: self.spec.clone(), points: point.into_iter().collect() }
     }

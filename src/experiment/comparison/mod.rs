@@ -138,7 +138,7 @@ impl Comparison {
         let timed = budget.kind == BudgetKind::FrameTime;
         if timed {
             let times = budget::times(session, &mut contenders)?;
-            contenders.iter_mut().zip(times).for_each(|(c, ms)| c.calibrated = Some(ms));
+            contenders.iter_mut().zip(times).for_each(|(c, ms)| c.calibrations[0] = ms);
         }
         let variance = contender::pilot(session, &mut contenders, judged)?;
 
@@ -177,7 +177,7 @@ impl Comparison {
         if !interrupted && timed {
             match budget::times(session, &mut contenders) {
                 Ok(times) => {
-                    contenders.iter_mut().zip(times).for_each(|(c, ms)| c.recalibrated = Some(ms));
+                    contenders.iter_mut().zip(times).for_each(|(c, ms)| c.calibrations[1] = ms);
                 }
                 Err(error) if error.is_interrupted() => interrupted = true,
                 Err(error) => return Err(error),
@@ -234,14 +234,14 @@ impl Comparison {
         Ok(())
     }
 
-    /// Makes room for the error of every frame, where that is wanted or telling.
+    /// Asks for the error of every frame, where that is wanted or telling.
     fn choose_warmups(&self, session: &Session, contenders: &mut [Contender]) {
         if self.accumulate || session.stage.facts().moves() {
             return;
         }
         for contender in contenders {
             if self.warmup || contender.frames.plan().keeps_history() {
-                contender.make_room_for_warmup(self.frames);
+                contender.warmup = self.frames;
             }
         }
     }
@@ -277,10 +277,13 @@ impl Comparison {
             curves: Vec::new(),
             warmups: contenders
                 .iter()
-                .filter(|c| !c.warmup.is_empty())
-                .map(|c| Warmup {
-                    technique: c.spec.clone(),
-                    relmse: c.warmup.iter().map(figures::over_restarts).collect(),
+                .filter(|c| c.warmup > 0)
+                .map(|c| {
+                    let of_frame = |at: usize| {
+                        figures::over_restarts(&c.samples.iter().map(|s| s.warmup[at]).collect())
+                    };
+                    let relmse = (0..c.warmup as usize).map(of_frame).collect();
+                    Warmup { technique: c.spec.clone(), relmse }
                 })
                 .collect(),
             spectra: contenders.iter().map(Contender::spectrum).collect(),
