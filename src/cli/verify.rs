@@ -51,6 +51,8 @@ Examples:
         a still scene whose lights are made to slide
   afterimage verify restir-di --ladder --out ladder.md
         rung by rung: no reuse, over space, over time, moving camera, light, occluder, mutations, visibility
+  afterimage verify restir-di --ladder --plan
+        how many restarts each rung needs, and how long they take
   afterimage verify restir-di:candidates=8 --ladder --quick --rungs moving --check
         some rungs, coarsely")]
 pub(super) struct VerifyArgs {
@@ -70,8 +72,16 @@ pub(super) struct VerifyArgs {
     /// Only the rung of this name, or rungs whose name contains it; `still`: all without motion
     #[arg(long, value_name = "TEXT", requires = "ladder")]
     pub rungs: Option<String>,
-    /// Minutes that the ladder may take; rungs get as many restarts as fit [default: no limit, with
-    /// --quick 7]
+    /// Print what each rung of the ladder is going to cost, from pilots, and stop
+    #[arg(long, requires = "ladder")]
+    pub plan: bool,
+    /// Forget what an earlier run of the same ladder kept: verdicts, and restarts of rungs that it
+    /// did not finish
+    #[arg(long, requires = "ladder")]
+    pub fresh: bool,
+    /// Minutes that the ladder may take: rungs that are not decided get them, the cheapest first,
+    /// and what is left open goes on with the same command; with --quick rungs get as many restarts
+    /// as fit, and nothing is kept [default: 120, with --quick 7]
     #[arg(long, value_name = "M", requires = "ladder", value_parser = super::args::parse_positive)]
     pub minutes: Option<f64>,
     /// Write the ladder's table as Markdown, too

@@ -18,6 +18,7 @@ mod exr_file;
 mod plot;
 mod png;
 mod results;
+pub(crate) mod sealed;
 mod table;
 
 pub use atomic::write_atomic;

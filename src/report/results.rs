@@ -52,6 +52,10 @@ pub struct Results {
     /// Whether the user stopped the run early: there are fewer restarts then.
     #[serde(default)]
     pub interrupted: bool,
+    /// Restarts, of all techniques together, that an earlier, interrupted run made: with the times
+    /// that they took then.
+    #[serde(default)]
+    pub resumed: u32,
     /// One a technique.
     pub rows: Vec<Row>,
     /// Error against time, one a technique.
@@ -388,6 +392,7 @@ pub(crate) mod tests {
             },
             schema: SCHEMA,
             interrupted: false,
+            resumed: 0,
             rows,
             curves: Vec::new(),
             warmups: Vec::new(),

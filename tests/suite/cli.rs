@@ -49,7 +49,10 @@ impl Place {
     /// The only reference in the cache.
     fn cached(&self) -> PathBuf {
         let files = std::fs::read_dir(self.path("cache/afterimage")).unwrap();
-        let mut files: Vec<PathBuf> = files.map(|f| f.unwrap().path()).collect();
+        let mut files: Vec<PathBuf> = files
+            .map(|file| file.unwrap().path())
+            .filter(|path| path.extension().is_some_and(|e| e == "reference"))
+            .collect();
         assert_eq!(files.len(), 1, "{files:?}");
         files.remove(0)
     }

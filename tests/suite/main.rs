@@ -9,6 +9,8 @@ mod elision;
 mod figures;
 #[cfg(all(feature = "gpu", feature = "load"))]
 mod gpu;
+#[cfg(feature = "experiment")]
+mod kept;
 mod laws;
 mod layering;
 mod learn;

@@ -18,6 +18,7 @@ const TURNS: usize = 3;
 const FRAMES_A_TURN: usize = 3;
 
 /// What a frame may take, and what fits into it.
+#[derive(Clone, Debug)]
 pub(super) struct Settled {
     pub(super) kind: BudgetKind,
     pub(super) value: f64,

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::{Against, Comparison, JudgedFrames};
+use super::{Comparison, Course, JudgedFrames};
 use crate::experiment::calibrate::median_p99;
 use crate::experiment::seeds::{SeedUse, seed};
 use crate::experiment::session::{Mean, Session};
@@ -30,6 +30,8 @@ pub(super) struct Contender {
     pub(super) calibrations: [Vec<f64>; 2],
     /// What each restart measured.
     pub(super) samples: Vec<Sample>,
+    /// How many of them an interrupted run made.
+    pub(super) resumed: u32,
     pub(super) restarts: Restarts,
     /// Frames whose `relmse` is wanted; 0: none.
     pub(super) warmup: u32,
@@ -65,6 +67,7 @@ impl Contender {
             frames: session.start(technique, effort, 0)?,
             calibrations: Default::default(),
             samples: Vec::new(),
+            resumed: 0,
             restarts: bias::restarts(session.shot.size)?,
             warmup: 0,
             rings: vec![Moments::new(); figures::RINGS],
@@ -99,6 +102,11 @@ impl Contender {
         if judged.accumulate || self.frames.plan().keeps_history() { judged.frames } else { 1 }
     }
 
+    /// The seed of a restart.
+    pub(super) fn seed(&self, session: &Session, index: u32) -> u64 {
+        seed(session.shot.run, SeedUse::Restart, self.number, index)
+    }
+
     /// Renders a restart and measures its frames.
     fn restart(
         &mut self,
@@ -107,7 +115,7 @@ impl Contender {
         judged: JudgedFrames,
         truth: &Picture,
     ) -> Result<Rendered> {
-        let seed = seed(session.shot.run, SeedUse::Restart, self.number, index);
+        let seed = self.seed(session, index);
         let mut sample = Sample { seed, ..Sample::default() };
         let wanted = self.warmup;
         let mut emission = None;
@@ -137,8 +145,8 @@ impl Contender {
     }
 
     /// Adds a restart to everything that is said about restarts.
-    fn judge(&mut self, rendered: Rendered, against: Against<'_>, keep: bool) -> Result<()> {
-        let Against { truth, guides } = against;
+    fn judge(&mut self, rendered: Rendered, course: Course<'_>, keep: bool) -> Result<()> {
+        let Course { truth, guides, .. } = course;
         let Rendered { mut sample, picture, emission } = rendered;
         self.restarts.push(&picture.pixels)?;
         for (ring, power) in self.rings.iter_mut().zip(figures::spectrum(&picture, truth)?) {
@@ -233,9 +241,9 @@ impl Comparison {
         &self,
         session: &Session,
         contenders: &mut [Contender],
-        judged: JudgedFrames,
-        against: Against<'_>,
+        course: Course<'_>,
     ) -> Result<()> {
+        let Course { judged, truth, kept, .. } = course;
         let moves = session.stage.facts().moves();
         let steps = u64::from(self.restarts) * contenders.len() as u64;
         let progress = session.host().begin("restarts", steps);
@@ -249,8 +257,18 @@ impl Comparison {
                 let needed =
                     if all { judged.frames } else { contender.needed_frames(judged).max(2) };
                 let judged = JudgedFrames { frames: judged.frames.min(needed), ..judged };
-                let rendered = contender.restart(session, index, judged, against.truth)?;
-                contender.judge(rendered, against, keep)?;
+                let rendered = match kept.restart(contender, index)? {
+                    Some(rendered) => {
+                        contender.resumed += 1;
+                        rendered
+                    }
+                    None => {
+                        let made = contender.restart(session, index, judged, truth)?;
+                        kept.store_restart(contender, index, &made)?;
+                        made
+                    }
+                };
+                contender.judge(rendered, course, keep)?;
                 progress.step();
             }
         }

@@ -2,14 +2,13 @@
 
 use super::budget::has_whole_efforts;
 use super::contender::{Contender, judged_picture};
-use super::{Comparison, JudgedFrames};
+use super::{Comparison, Course, JudgedFrames};
 use crate::Result;
 use crate::experiment::calibrate::median_p99;
 use crate::experiment::figures;
 use crate::experiment::seeds::{SeedUse, seed};
 use crate::experiment::session::Session;
 use crate::frame::FrameLoop;
-use crate::picture::Picture;
 use crate::plan::Shot;
 use crate::report::{Curve, CurvePoint, Sample};
 
@@ -59,17 +58,23 @@ impl<'a> Measured<'a> {
     }
 
     /// Renders one restart.
-    fn restart(&mut self, session: &Session, index: u32, truth: &Picture) -> Result<()> {
+    fn restart(&mut self, session: &Session, index: u32, course: Course<'_>) -> Result<()> {
         // Efforts of a curve are more than a hundredth apart.
-        let index = ((100.0 * self.effort) as u32).wrapping_mul(4096).wrapping_add(index);
-        let seed = seed(session.shot.run, SeedUse::Curve, self.contender.number, index);
+        let piece = ((100.0 * self.effort) as u32).wrapping_mul(4096).wrapping_add(index);
+        let seed = seed(session.shot.run, SeedUse::Curve, self.contender.number, piece);
+        let place = (self.effort, index);
+        if let Some(sample) = course.kept.curve_restart(self.contender, place, seed)? {
+            self.samples.push(sample);
+            return Ok(());
+        }
         let mut sample = Sample { seed, ..Sample::default() };
         self.frames.restart(seed);
         let picture = judged_picture(session, &mut self.frames, self.judged, |_, frame| {
             sample.ms.push(frame.milliseconds());
             sample.non_finite += frame.counters.non_finite;
         })?;
-        sample.metrics.insert("relmse".to_string(), figures::relmse(&picture, truth)?);
+        sample.metrics.insert("relmse".to_string(), figures::relmse(&picture, course.truth)?);
+        course.kept.store_curve_restart(self.contender, place, &sample)?;
         self.samples.push(sample);
         Ok(())
     }
@@ -94,8 +99,7 @@ impl Comparison {
         &self,
         session: &Session,
         contenders: &[Contender],
-        judged: JudgedFrames,
-        truth: &Picture,
+        course: Course<'_>,
     ) -> Result<Vec<Curve>> {
         let others = |c: &Contender| other_efforts(c.effort, has_whole_efforts(c.frames.plan()));
         let efforts: Vec<Vec<f32>> = contenders.iter().map(others).collect();
@@ -107,13 +111,13 @@ impl Comparison {
             let mut points = Vec::new();
             for (at, contender) in contenders.iter().enumerate() {
                 if let Some(&effort) = efforts[at].get(place) {
-                    points.push((at, Measured::new(session, contender, effort, judged)?));
+                    points.push((at, Measured::new(session, contender, effort, course.judged)?));
                 }
             }
             for index in 0..self.curve_restarts {
                 for (_, point) in &mut points {
                     progress.say(&format!("{} at effort {}", point.contender.spec, point.effort));
-                    point.restart(session, index, truth)?;
+                    point.restart(session, index, course)?;
                     progress.step();
                 }
             }

@@ -271,14 +271,14 @@ fn a_stale_reference_is_never_used_in_silence() {
         assert!(notes.len() == 1 && notes[0].contains(why), "{why}: {notes:?}");
     }
 
-    // Sound, of the right key, and not what is rendered now: a tenth brighter.
+    // Sound, of the right key, and not what is rendered now: four times as bright.
     let key = dim.key(&format!("nee effort {EFFORT} images {IMAGES}"));
     let cache = ReferenceCache::new(place.settings.cache.clone().unwrap());
     assert_eq!(cache.path(key), dim_file);
     let mut stale = Reference::new([4, 3]);
     for at in 0..32 {
         let mut picture = of_dim.picture();
-        let gain = if at % 2 == 0 { 1.09 } else { 1.11 };
+        let gain = if at % 2 == 0 { 3.9 } else { 4.1 };
         picture.pixels.iter_mut().for_each(|pixel| *pixel *= gain);
         stale.add(&picture);
     }
