@@ -170,10 +170,14 @@ fn pilots_stages_and_references_of_a_trial_share_no_seed() {
     // A trial with another number, whose reference is stored: that is checked, and continued.
     let second = run(1);
     let own = first.iter().skip(1).chain(second.iter().skip(1)).map(|s| &s.seeds[0]);
-    let mut references = HashSet::new();
-    first.iter().chain(&second).for_each(|s| references.extend(&s.seeds[1]));
-    assert!(references.len() >= 2, "a reference and its check");
-    assert_disjoint(own.chain([&references]));
+    let judge = |made: bool| -> HashSet<u64> {
+        let all = first.iter().chain(&second);
+        let used = all.filter(|s| (s.what == "reference") == made).flat_map(|s| &s.seeds[1]);
+        used.copied().collect()
+    };
+    let (references, checks) = (judge(true), judge(false));
+    assert!(!references.is_empty() && checks.len() == 1, "{references:?}, {checks:?}");
+    assert_disjoint(own.chain([&references, &checks]));
     std::fs::remove_dir_all(reference.cache.unwrap()).unwrap();
 }
 
