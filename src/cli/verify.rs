@@ -66,7 +66,7 @@ pub(super) struct VerifyArgs {
     #[arg(long)]
     pub quick: bool,
     /// Verify SPEC as far as its parts go: a table of rungs, each with parameters and motion of its
-    /// own; depth 2 unless given
+    /// own; depth 2 and 64x64 pixels unless given
     #[arg(long)]
     pub ladder: bool,
     /// Only the rung of this name, or rungs whose name contains it; `still`: all without motion
@@ -149,7 +149,11 @@ impl VerifyArgs {
         let mut session = picture.open_changed(scene, &self.changes, self.filter, size)?;
         if self.picture.size.is_none() && self.reference.reference.is_none() {
             let halves = session.shot.size.map(|side| side.div_ceil(2));
-            session.shot.size = if self.quick { [32, 32] } else { halves };
+            session.shot.size = match (self.quick, self.ladder) {
+                (true, _) => [32, 32],
+                (false, true) => [64, 64],
+                (false, false) => halves,
+            };
         }
         Ok(session)
     }

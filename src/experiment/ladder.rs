@@ -4,9 +4,9 @@
 //! which only the named thing moves ([`super::moving`]); every frame that is judged has a reference
 //! of its own time. References are shared between rungs.
 //!
-//! With a folder to keep work in ([`Trial::keep`]) a ladder may be interrupted at any time. How many
-//! restarts a rung has follows from its pilot alone, never from the time that there is: a rung is
-//! judged when it has them, in whichever run that is, and what was judged stays.
+//! With a folder to keep work in ([`Trial::keep`]) a ladder may be interrupted at any time. How
+//! many restarts a rung has follows from its pilot alone, never from the time that there is: a rung
+//! is judged when it has them, in whichever run that is, and what was judged stays.
 
 mod kept;
 
@@ -25,6 +25,10 @@ use crate::{Error, Result};
 /// Share of a rung's time that its references may take where the ladder's time is limited; what
 /// they leave is for restarts.
 const REFERENCE_SHARE: f64 = 0.3;
+
+/// The most restarts that a pilot may choose for a rung that claims a bias: it cannot fail, and how
+/// small its bias is need not be known as well as that there is none.
+const BIASED_MOST: u32 = 4096;
 
 /// How a technique is tested rung by rung.
 #[derive(Clone, Debug, Default)]
@@ -246,7 +250,8 @@ impl Ladder {
         Ok(planned)
     }
 
-    /// The ladder that goes on with what is kept; where all shall be fresh, that is forgotten first.
+    /// The ladder that goes on with what is kept; where all shall be fresh, that is forgotten
+    /// first.
     fn begun(&self, tasks: &[Task<'_>]) -> Result<Self> {
         let mut ladder = self.clone();
         if let Some(keep) = ladder.trial.keep.as_mut().filter(|keep| keep.fresh) {
@@ -345,10 +350,12 @@ impl Ladder {
 
     /// The trial of a rung.
     fn rung_trial(&self, task: &Task<'_>, session: &Session, seconds: f64) -> Trial {
+        let unbiased = session.plan(&*task.technique).claim == Claim::Unbiased;
         Trial {
             seconds,
             all_in: true,
-            confirm: session.plan(&*task.technique).claim == Claim::Unbiased,
+            confirm: unbiased,
+            most: if unbiased { self.trial.most } else { self.trial.most.min(BIASED_MOST) },
             number: task.number,
             ..self.trial.clone()
         }

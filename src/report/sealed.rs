@@ -202,6 +202,12 @@ mod tests {
             "more is there than is read"
         );
         let whole = fs::read(&path).unwrap();
+        // A digit of a float: only the checksum sees it.
+        let mut bytes = whole.clone();
+        bytes[whole.len() - 16 - 5] ^= 1;
+        fs::write(&path, bytes).unwrap();
+        let (none, warning) = unseal(&path, key, decode).unwrap();
+        assert!(none.is_none() && warning.unwrap().contains("checksum"));
         for at in [0, 17, 25, HEADER + 3, whole.len() - 1] {
             let mut bytes = whole.clone();
             bytes[at] ^= 1;

@@ -111,14 +111,15 @@ fn nee() -> &'static Entry {
     find(REGISTRY, "nee").unwrap().0
 }
 
-/// The ladder of `nee` in wide margins, with two ages that nothing tells apart.
+/// The ladder of `nee` in margins so wide that it takes no time, with two ages that nothing tells
+/// apart.
 fn ladder(place: &Place, name: &str) -> Ladder {
     Ladder {
         rungs: Some("still".to_string()),
         minutes: None,
         trial: Trial {
             ages: Ages::Given(vec![1, 3]),
-            delta: 0.03,
+            delta: 0.08,
             reference: place.reference(),
             keep: place.keep(name),
             ..Trial::default()
@@ -158,8 +159,8 @@ fn bits(rows: &[LadderRow]) -> Vec<String> {
 #[test]
 fn a_ladder_that_is_stopped_again_and_again_has_the_rows_of_one_that_is_not() {
     let place = Place::new("ladder", [12, 10]);
-    let whole = ladder(&place, "whole");
     // References are made first, so that all runs have the same.
+    let whole = ladder(&place, "whole");
     let expected = climb(&place, &whole);
     assert!(!expected.rows.is_empty() && expected.open.is_empty() && !expected.interrupted);
     let bits_expected = bits(&expected.rows);
@@ -170,16 +171,12 @@ fn a_ladder_that_is_stopped_again_and_again_has_the_rows_of_one_that_is_not() {
     assert_eq!(planned.len(), expected.rows.len());
     for (rung, row) in planned.iter().zip(&expected.rows) {
         let cost = rung.cost.as_ref().unwrap();
-        assert_eq!(
-            (rung.rung, &rung.technique, rung.number),
-            (row.rung, &row.technique, row.number)
-        );
+        let names = (rung.rung, &rung.technique, rung.number);
+        assert_eq!(names, (row.rung, &row.technique, row.number));
         assert_eq!((cost.stage, cost.done, &cost.ages), (1, 0, &row.ages));
         assert!(cost.seconds > 0.0 && cost.restarts.is_sorted_by(|a, b| a >= b));
-        if row.stage == 1 {
-            let ends = [cost.restarts[0], cost.restarts[cost.restarts.len() - 1]].map(u64::from);
-            assert_eq!(row.restarts, ends);
-        }
+        let ends = [cost.restarts[0], cost.restarts[cost.restarts.len() - 1]].map(u64::from);
+        assert_eq!((row.stage, row.restarts), (1, ends));
     }
 
     // What is judged is kept: no restart is rendered for it again.
@@ -189,21 +186,7 @@ fn a_ladder_that_is_stopped_again_and_again_has_the_rows_of_one_that_is_not() {
     assert!(plan(&place, &whole).is_empty());
 
     // Stopped after ever other numbers of frames, in pilots, stages and between them.
-    let again = ladder(&place, "again");
-    let mut runs = 0;
-    let rows = loop {
-        place.fuse.set(211 + 97 * runs);
-        let outcome = climb(&place, &again);
-        runs += 1;
-        assert!(runs < 1000, "it does not go on");
-        if !outcome.interrupted {
-            break outcome.rows;
-        }
-        let names: Vec<&str> = outcome.rows.iter().map(|row| row.rung).collect();
-        assert!(names.len() + outcome.open.len() == expected.rows.len(), "{names:?}");
-    };
-    assert!(runs > 3, "{restarts} restarts in {runs} runs");
-    assert_eq!(bits(&rows), bits_expected);
+    assert!(stopped_again_and_again(&place, &ladder(&place, "again"), &expected) > 3);
 
     // Fresh, all is done again, once.
     let mut fresh = whole.clone();
@@ -211,6 +194,38 @@ fn a_ladder_that_is_stopped_again_and_again_has_the_rows_of_one_that_is_not() {
     place.fuse.set(FOREVER);
     assert_eq!(bits(&climb(&place, &fresh).rows), bits_expected);
     assert!(place.fuse.spent() as u64 >= restarts);
+    let _ = fs::remove_dir_all(&place.folder);
+}
+
+/// Runs a ladder that is stopped before it is done, until it is, and says how many runs it took.
+/// Its rows are the expected ones.
+fn stopped_again_and_again(place: &Place, ladder: &Ladder, expected: &LadderOutcome) -> i64 {
+    for run in 0..1000 {
+        place.fuse.set(110 + 17 * run);
+        let outcome = climb(place, ladder);
+        assert_eq!(outcome.rows.len() + outcome.open.len(), expected.rows.len());
+        assert_eq!(outcome.interrupted, !outcome.open.is_empty());
+        if !outcome.interrupted {
+            assert_eq!(bits(&outcome.rows), bits(&expected.rows));
+            return run + 1;
+        }
+    }
+    panic!("it does not go on");
+}
+
+/// Few restarts decide nothing, so that a second stage follows: a first one that was judged is not
+/// judged again.
+#[test]
+fn a_ladder_that_is_stopped_between_two_stages_looks_as_often() {
+    let place = Place::new("stages", [12, 10]);
+    let few = |name: &str| {
+        let mut ladder = ladder(&place, name);
+        ladder.trial.restarts = Some(20);
+        ladder
+    };
+    let expected = climb(&place, &few("whole"));
+    assert!(expected.rows.iter().all(|row| row.stage == 2 && row.restarts == [80, 80]));
+    assert!(stopped_again_and_again(&place, &few("again"), &expected) > 2);
     let _ = fs::remove_dir_all(&place.folder);
 }
 
@@ -261,7 +276,7 @@ fn other_settings_are_other_work() {
     };
     for (what, place, other) in [
         ("seed", &seed, base.clone()),
-        ("margin", &place, with(&|trial| trial.delta = 0.031)),
+        ("margin", &place, with(&|trial| trial.delta = 0.081)),
         ("ages", &place, with(&|trial| trial.ages = Ages::Given(vec![1, 2]))),
         ("effort", &place, with(&|trial| trial.effort = 2.0)),
         ("judge", &place, with(&|trial| trial.against = Some(technique("ris").unwrap()))),
@@ -292,7 +307,7 @@ fn comparison(place: &Place, name: &str) -> Comparison {
         frames: 3,
         restarts: 5,
         curve_restarts: 2,
-        reference: ReferenceSettings { seconds: 1.0, ..place.reference() },
+        reference: place.reference(),
         keep: place.keep(name),
         ..Comparison::default()
     }
@@ -329,7 +344,8 @@ fn a_comparison_that_is_stopped_goes_on_with_its_restarts_and_their_times() {
     let (mut runs, mut restarts) = (0, 0);
     let mut times: Vec<Vec<f64>> = Vec::new();
     let done = loop {
-        place.fuse.set(75 + 11 * runs);
+        // Eight frames of pilots and 32 that check the reference come first.
+        place.fuse.set(43 + 4 * runs);
         runs += 1;
         assert!(runs < 100, "it does not go on");
         match compare(&place, &kept) {
@@ -382,7 +398,7 @@ fn damaged_swapped_and_unwanted_restarts_of_a_comparison_are_made_anew() {
         (results.resumed, place.fuse.notes())
     };
 
-    stop(90);
+    stop(55);
     let damaged: Vec<PathBuf> = place.files("kept").into_iter().filter(is_restart).collect();
     assert!(damaged.len() > 2, "{damaged:?}");
     place.damage("kept");
@@ -390,7 +406,7 @@ fn damaged_swapped_and_unwanted_restarts_of_a_comparison_are_made_anew() {
     assert!(resumed == 0 && notes.iter().any(|note| note.contains("made anew")), "{notes:?}");
 
     // One restart's file under another's name has the right key.
-    stop(90);
+    stop(55);
     let restarts: Vec<PathBuf> = place.files("kept").into_iter().filter(is_restart).collect();
     fs::copy(&restarts[0], &restarts[1]).unwrap();
     let (resumed, notes) = goes_on(&kept);
@@ -398,7 +414,7 @@ fn damaged_swapped_and_unwanted_restarts_of_a_comparison_are_made_anew() {
     assert!(notes.iter().any(|note| note.contains("another form")), "{notes:?}");
 
     // A fresh one uses none.
-    stop(90);
+    stop(55);
     let mut fresh = kept.clone();
     fresh.keep.as_mut().unwrap().fresh = true;
     assert_eq!(goes_on(&fresh), (0, Vec::new()));

@@ -384,8 +384,8 @@ impl<'a> Running<'a> {
     }
 }
 
-/// Restarts after which every part is as certain as [`RESTART_ERROR`] demands. The pilot's own means
-/// say what the margins are shares of, so that this can be asked before there is a reference.
+/// Restarts after which every part is as certain as [`RESTART_ERROR`] demands. The pilot's own
+/// means say what the margins are shares of, so that this can be asked before there is a reference.
 fn needed(pilot: &[Restarts], [width, height]: [u32; 2], delta: f64) -> Result<Counts> {
     let tolerance = Tolerance::of(delta);
     let mut wanted = Vec::new();
