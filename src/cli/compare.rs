@@ -8,7 +8,7 @@ use clap::Args;
 use super::args::{FilterArg, PictureArgs, ReferenceArgs, SceneArgs, parse_positive, split_specs};
 use super::command_line::command_line;
 use super::{Status, note, print};
-use crate::experiment::{Compared, Comparison, Spending, file_name, technique};
+use crate::experiment::{Compared, Comparison, Keep, Spending, file_name, technique};
 use crate::report::{Claim, Row, summary};
 use crate::techniques::REGISTRY;
 use crate::{Error, Result};
@@ -19,6 +19,7 @@ use crate::{Error, Result};
 /// and writes results.json, table.md, table.csv, curve.csv, `error_time.svg`, spectrum.csv,
 /// warmup.csv, warmup.svg, contact.png and EXR and PNG pictures to the output folder. References
 /// are cached. Ctrl-C writes the restarts that are done and stops; a second Ctrl-C stops at once.
+/// However it was stopped, the same command goes on with the restarts that are done.
 #[derive(Args, Debug)]
 #[command(after_help = "\
 Examples:
@@ -75,27 +76,32 @@ pub(super) struct CompareArgs {
     /// Folder for what is written [default: out/SCENE]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    /// Begin anew, even where the same comparison was interrupted
+    #[arg(long)]
+    fresh: bool,
     /// Exit with status 1 if a technique that claims to be unbiased fails the bias test
     #[arg(long)]
     check: bool,
 }
 
 impl CompareArgs {
-    fn comparison(&self) -> Comparison {
+    fn comparison(&self) -> Result<Comparison> {
         let spending = match (self.spp, self.frame_time) {
             (Some(spp), _) => Spending::Estimates(spp),
             (None, Some(ms)) => Spending::Milliseconds(ms),
             (None, None) => Spending::Slowest,
         };
-        Comparison {
+        let reference = self.reference.settings();
+        Ok(Comparison {
             spending,
             frames: self.frames,
             accumulate: self.accumulate,
             restarts: self.restarts,
             curve_restarts: self.curve_restarts,
             warmup: self.warmup,
-            reference: self.reference.settings(),
-        }
+            keep: Some(Keep::beside(&reference, self.fresh)?),
+            reference,
+        })
     }
 }
 
@@ -109,7 +115,7 @@ pub(super) fn run(args: &CompareArgs) -> Result<Status> {
     }
     // Wrong names are found before any work.
     let techniques = specs.iter().map(|spec| technique(spec)).collect::<Result<Vec<_>>>()?;
-    let comparison = args.comparison();
+    let comparison = args.comparison()?;
     let size = comparison.reference.size()?;
     let session = args.picture.open_changed(&args.scene, &args.changes, args.filter, size)?;
     let mut compared = comparison.run(&session, &techniques)?;
@@ -136,7 +142,7 @@ fn status(compared: &Compared, check: bool) -> Status {
         ));
     }
     if compared.results.interrupted {
-        note("stopped by the user");
+        note("stopped by the user; the same command goes on");
         return Status::Interrupted;
     }
     let failed = |row: &Row| {

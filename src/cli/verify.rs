@@ -51,6 +51,8 @@ Examples:
         a still scene whose lights are made to slide
   afterimage verify restir-di --ladder --out ladder.md
         rung by rung: no reuse, over space, over time, moving camera, light, occluder, mutations, visibility
+  afterimage verify restir-di --ladder --plan
+        how many restarts each rung needs, and how long they take
   afterimage verify restir-di:candidates=8 --ladder --quick --rungs moving --check
         some rungs, coarsely")]
 pub(super) struct VerifyArgs {
@@ -64,14 +66,22 @@ pub(super) struct VerifyArgs {
     #[arg(long)]
     pub quick: bool,
     /// Verify SPEC as far as its parts go: a table of rungs, each with parameters and motion of its
-    /// own; depth 2 unless given
+    /// own; depth 2 and 64x64 pixels unless given
     #[arg(long)]
     pub ladder: bool,
     /// Only the rung of this name, or rungs whose name contains it; `still`: all without motion
     #[arg(long, value_name = "TEXT", requires = "ladder")]
     pub rungs: Option<String>,
-    /// Minutes that the ladder may take; rungs get as many restarts as fit [default: no limit, with
-    /// --quick 7]
+    /// Print what each rung of the ladder is going to cost, from pilots, and stop
+    #[arg(long, requires = "ladder")]
+    pub plan: bool,
+    /// Forget what an earlier run of the same ladder kept: verdicts, and restarts of rungs that it
+    /// did not finish
+    #[arg(long, requires = "ladder")]
+    pub fresh: bool,
+    /// Minutes that the ladder may take: rungs that are not decided get them, the cheapest first,
+    /// and what is left open goes on with the same command; with --quick rungs get as many restarts
+    /// as fit, and nothing is kept [default: 120, with --quick 7]
     #[arg(long, value_name = "M", requires = "ladder", value_parser = super::args::parse_positive)]
     pub minutes: Option<f64>,
     /// Write the ladder's table as Markdown, too
@@ -139,7 +149,11 @@ impl VerifyArgs {
         let mut session = picture.open_changed(scene, &self.changes, self.filter, size)?;
         if self.picture.size.is_none() && self.reference.reference.is_none() {
             let halves = session.shot.size.map(|side| side.div_ceil(2));
-            session.shot.size = if self.quick { [32, 32] } else { halves };
+            session.shot.size = match (self.quick, self.ladder) {
+                (true, _) => [32, 32],
+                (false, true) => [64, 64],
+                (false, false) => halves,
+            };
         }
         Ok(session)
     }

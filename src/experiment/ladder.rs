@@ -3,13 +3,20 @@
 //! A rung is parameters and a motion. Still rungs stand on still scenes, moving ones on scenes in
 //! which only the named thing moves ([`super::moving`]); every frame that is judged has a reference
 //! of its own time. References are shared between rungs.
+//!
+//! With a folder to keep work in ([`Trial::keep`]) a ladder may be interrupted at any time. How
+//! many restarts a rung has follows from its pilot alone, never from the time that there is: a rung
+//! is judged when it has them, in whichever run that is, and what was judged stays.
+
+mod kept;
 
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
+use super::kept::Until;
 use super::moving::{Slide, only};
 use super::session::Session;
-use super::trial::{ReferencePool, StageOutcome, Trial, TrialOutcome};
+use super::trial::{ReferencePool, StageOutcome, Trial, TrialOutcome, TrialPlan};
 use crate::plan::Claim;
 use crate::stats::{Part, Verdict};
 use crate::techniques::{Entry, Moving, Rung, Technique};
@@ -19,16 +26,38 @@ use crate::{Error, Result};
 /// they leave is for restarts.
 const REFERENCE_SHARE: f64 = 0.3;
 
+/// The most restarts that a pilot may choose for a rung that claims a bias: it cannot fail, and how
+/// small its bias is need not be known as well as that there is none.
+const BIASED_MOST: u32 = 4096;
+
 /// How a technique is tested rung by rung.
 #[derive(Clone, Debug, Default)]
 pub struct Ladder {
     /// Only the rung of this name, or rungs whose name contains it; `still`: all without motion.
     pub rungs: Option<String>,
-    /// Minutes that all rungs may take; they get as many restarts as fit.
+    /// Minutes that all rungs may take. Where no work is kept they get as many restarts as fit.
+    /// Where it is, rungs that are not decided get the time in order of what they need, the
+    /// cheapest first, so that as many as possible are decided; the rest stays open, and goes on in
+    /// the next run.
     pub minutes: Option<f64>,
     /// How each rung is tested. Its time and number are the ladder's, and only a claim of no bias
     /// is confirmed by a second stage.
     pub trial: Trial,
+}
+
+/// A rung on a scene that is not judged yet, and what it is going to cost.
+#[derive(Clone, Debug)]
+pub struct PlannedRung {
+    /// The rung's name.
+    pub rung: &'static str,
+    /// The technique's specification on this rung.
+    pub technique: String,
+    /// The scene as it was given.
+    pub scene: String,
+    /// The rung's number in the whole ladder.
+    pub number: u32,
+    /// Restarts and time of the stage that is next; `None` where there was no time for the pilot.
+    pub cost: Option<TrialPlan>,
 }
 
 /// Scenes that a ladder stands on. Each rung is run on all of one list.
@@ -45,12 +74,14 @@ pub struct LadderScenes<'a> {
 pub struct LadderOutcome {
     /// The rungs that were run, in order.
     pub rows: Vec<LadderRow>,
+    /// Rungs that there was no time for.
+    pub open: Vec<PlannedRung>,
     /// Whether the host stopped the ladder before its last rung.
     pub interrupted: bool,
 }
 
 /// A rung on a scene, as it was found.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct LadderRow {
     /// The rung's name.
     pub rung: &'static str,
@@ -121,6 +152,17 @@ struct Task<'a> {
 }
 
 impl Task<'_> {
+    /// The rung before anything is known of its cost.
+    fn planned(&self) -> PlannedRung {
+        PlannedRung {
+            rung: self.rung.name,
+            technique: self.technique.spec(),
+            scene: self.session.scene.clone(),
+            number: self.number,
+            cost: None,
+        }
+    }
+
     /// The scene with the rung's motion, over as many frames as the longest trial has.
     fn moved(&self, longest_age: u32) -> Result<Session> {
         let seconds = longest_age.max(2) as f32 / self.session.shot.fps as f32;
@@ -154,6 +196,9 @@ impl Ladder {
             ));
         }
         let tasks = self.tasks(entry, keys, scenes)?;
+        if self.trial.keep.is_some() {
+            return self.begun(&tasks)?.run_kept(&tasks, each);
+        }
         let begin = Instant::now();
         let progress = tasks[0].session.host().begin("ladder", tasks.len() as u64);
         let mut pool = ReferencePool::default();
@@ -168,31 +213,169 @@ impl Ladder {
                     rows.push(row);
                 }
                 Err(error) if error.is_interrupted() => {
-                    return Ok(LadderOutcome { rows, interrupted: true });
+                    return Ok(LadderOutcome { rows, open: Vec::new(), interrupted: true });
                 }
                 Err(error) => return Err(error),
             }
             progress.step();
         }
-        Ok(LadderOutcome { rows, interrupted: false })
+        Ok(LadderOutcome { rows, open: Vec::new(), interrupted: false })
+    }
+
+    /// What the rungs that are not decided are going to cost, from pilots alone: nothing is judged.
+    ///
+    /// # Errors
+    /// As [`Ladder::run`]; an interruption.
+    pub fn plan(
+        &self,
+        entry: &Entry,
+        keys: &str,
+        scenes: LadderScenes<'_>,
+        mut each: impl FnMut(&PlannedRung),
+    ) -> Result<Vec<PlannedRung>> {
+        let tasks = self.tasks(entry, keys, scenes)?;
+        let ladder = self.begun(&tasks)?;
+        let progress = tasks[0].session.host().begin("pilots", tasks.len() as u64);
+        let mut planned = Vec::new();
+        for task in &tasks {
+            progress.say(&format!("{} on {}", task.rung.name, task.session.scene));
+            let session = task.moved(ladder.trial.ages.longest())?;
+            if ladder.kept_row(task, &session)?.is_none() {
+                let rung = ladder.planned(task, &session)?;
+                each(&rung);
+                planned.push(rung);
+            }
+            progress.step();
+        }
+        Ok(planned)
+    }
+
+    /// The ladder that goes on with what is kept; where all shall be fresh, that is forgotten
+    /// first.
+    fn begun(&self, tasks: &[Task<'_>]) -> Result<Self> {
+        let mut ladder = self.clone();
+        if let Some(keep) = ladder.trial.keep.as_mut().filter(|keep| keep.fresh) {
+            keep.fresh = false;
+            for task in tasks {
+                let session = task.moved(self.trial.ages.longest())?;
+                self.forget_row(task, &session)?;
+                self.rung_trial(task, &session, 0.0).forget(&session, &task.technique)?;
+            }
+        }
+        Ok(ladder)
+    }
+
+    /// Rungs whose work is kept: the decided ones as they are, then the others, as far as the time
+    /// reaches.
+    fn run_kept(
+        &self,
+        tasks: &[Task<'_>],
+        mut each: impl FnMut(&LadderRow),
+    ) -> Result<LadderOutcome> {
+        let host = tasks[0].session.host();
+        let progress = host.begin("ladder", tasks.len() as u64);
+        let end = self.minutes.map(|m| Instant::now() + Duration::from_secs_f64(60.0 * m.min(1e6)));
+        let mut outcome = LadderOutcome { rows: Vec::new(), open: Vec::new(), interrupted: false };
+        let mut undecided = Vec::new();
+        for task in tasks {
+            let mut session = task.moved(self.trial.ages.longest())?;
+            if let Some(row) = self.kept_row(task, &session)? {
+                each(&row);
+                outcome.rows.push(row);
+                progress.step();
+                continue;
+            }
+            if let Some(end) = end {
+                session = session.heard_by(|host| Arc::new(Until::new(host, end)));
+            }
+            undecided.push((task, session, None));
+        }
+
+        // Where time is short, pilots say which rungs it decides most of.
+        let mut stopped = None;
+        if end.is_some() {
+            for (task, session, cost) in &mut undecided {
+                progress.say(&format!("pilot of {} on {}", task.rung.name, session.scene));
+                match self.planned(task, session) {
+                    Ok(planned) => *cost = planned.cost,
+                    Err(error) => {
+                        stopped = Some(error);
+                        break;
+                    }
+                }
+            }
+            let seconds = |cost: &Option<TrialPlan>| cost.as_ref().map_or(f64::MAX, |c| c.seconds);
+            undecided.sort_by(|a, b| seconds(&a.2).total_cmp(&seconds(&b.2)));
+        }
+        let mut pool = ReferencePool::default();
+        for (task, session, cost) in undecided {
+            progress.say(&format!("{} on {}", task.rung.name, session.scene));
+            let found = match stopped.take() {
+                Some(error) => Err(error),
+                None => self.rung_on(task, &session, f64::INFINITY, &mut pool),
+            };
+            match found {
+                Ok(row) => {
+                    self.keep_row(task, &session, &row)?;
+                    each(&row);
+                    outcome.rows.push(row);
+                    progress.step();
+                }
+                Err(error) if error.is_interrupted() => {
+                    outcome.interrupted |= task.session.host().stopped();
+                    let planned = PlannedRung { cost: cost.clone(), ..task.planned() };
+                    // What is done now is on disk.
+                    let now = cost.and_then(|_| self.planned(task, &session).ok());
+                    outcome.open.push(now.unwrap_or(planned));
+                    stopped = Some(error);
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        outcome.rows.sort_by_key(|row| row.number);
+        outcome.open.sort_by_key(|rung| rung.number);
+        Ok(outcome)
+    }
+
+    /// What a rung is going to cost.
+    fn planned(&self, task: &Task<'_>, session: &Session) -> Result<PlannedRung> {
+        let trial = self.rung_trial(task, session, f64::INFINITY);
+        Ok(PlannedRung { cost: Some(trial.plan(session, &task.technique)?), ..task.planned() })
     }
 
     /// Runs one rung within `seconds`.
     fn rung(&self, task: &Task<'_>, seconds: f64, pool: &mut ReferencePool) -> Result<LadderRow> {
-        let session = task.moved(self.trial.ages.longest())?;
-        let ages = self.trial.ages.of(&session, &*task.technique);
-        let mut trial = Trial {
+        self.rung_on(task, &task.moved(self.trial.ages.longest())?, seconds, pool)
+    }
+
+    /// The trial of a rung.
+    fn rung_trial(&self, task: &Task<'_>, session: &Session, seconds: f64) -> Trial {
+        let unbiased = session.plan(&*task.technique).claim == Claim::Unbiased;
+        Trial {
             seconds,
             all_in: true,
-            confirm: session.plan(&*task.technique).claim == Claim::Unbiased,
+            confirm: unbiased,
+            most: if unbiased { self.trial.most } else { self.trial.most.min(BIASED_MOST) },
             number: task.number,
             ..self.trial.clone()
-        };
+        }
+    }
+
+    /// Runs one rung on the scene with its motion.
+    fn rung_on(
+        &self,
+        task: &Task<'_>,
+        session: &Session,
+        seconds: f64,
+        pool: &mut ReferencePool,
+    ) -> Result<LadderRow> {
+        let ages = self.trial.ages.of(session, &*task.technique);
+        let mut trial = self.rung_trial(task, session, seconds);
         // A reference serves later rungs too, so its time counts for all of them; its remaining
         // noise is part of every interval.
         let share = REFERENCE_SHARE * seconds / ages.len() as f64;
         trial.reference.seconds = trial.reference.seconds.min(share.max(1.0));
-        let outcome = trial.run(&session, &task.technique, pool, |_, _| Ok(()))?;
+        let outcome = trial.run(session, &task.technique, pool, |_, _| Ok(()))?;
         Ok(LadderRow::new(task, ages, outcome))
     }
 

@@ -29,6 +29,7 @@ pub(crate) mod figures;
 mod fingerprint;
 mod host;
 mod inspect;
+mod kept;
 mod ladder;
 mod lag;
 mod look_at;
@@ -42,13 +43,14 @@ mod trial;
 pub use comparison::{Compared, Comparison, Shown, Spending};
 pub use host::{Host, Silent, Steps};
 pub use inspect::{BufferState, Candidate, CandidateSight, Inspected, Inspection, SeenSurface};
-pub use ladder::{Ladder, LadderOutcome, LadderRow, LadderScenes};
+pub use kept::Keep;
+pub use ladder::{Ladder, LadderOutcome, LadderRow, LadderScenes, PlannedRung};
 pub use lag::{Change, Lag, LagOutcome};
 pub use look_at::LookAt;
 pub use moving::SceneMotion;
 pub use reference::{ReferenceSettings, SourcedReference};
 pub use session::{Session, SessionSettings, load_scene, technique};
-pub use trial::{AgeOutcome, Ages, ReferencePool, StageOutcome, Trial, TrialOutcome};
+pub use trial::{AgeOutcome, Ages, ReferencePool, StageOutcome, Trial, TrialOutcome, TrialPlan};
 
 // What the command shares with experiments beyond their interface.
 #[cfg(feature = "cli")]

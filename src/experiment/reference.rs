@@ -17,6 +17,9 @@ use crate::stats::{Criteria, Verdict};
 use crate::techniques::Technique;
 use crate::{Error, Result};
 
+#[cfg(test)]
+mod tests;
+
 /// Estimates a frame: enough that primary hits, which all share with point sampling, cost little.
 const EFFORT: u32 = 4;
 /// References are shared by runs of any seed, so theirs is fixed.

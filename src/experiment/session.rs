@@ -154,6 +154,11 @@ impl Session {
         &*self.host
     }
 
+    /// The same with another program that hears of the work.
+    pub(super) fn heard_by(&self, host: impl FnOnce(Arc<dyn Host>) -> Arc<dyn Host>) -> Self {
+        Self { host: host(self.host.clone()), ..self.clone() }
+    }
+
     /// The same settings on the scene as it stands in frame `index`, without motion.
     ///
     /// # Errors

@@ -362,6 +362,27 @@ mod tests {
         assert!((share - 2.0 / 3.0).abs() < 1e-15);
     }
 
+    /// flip-evaluator 1.7, `evaluate(reference, picture, "LDR", inputsRGB=False, applyMagma=False)`
+    /// on both, times 0.18 over the reference's median luminance of 0.2992875 and clamped. Times
+    /// 0.18 over its mean, which a bright corner makes 3.3 times as large, it is 0.0847.
+    #[test]
+    fn flip_is_exposed_by_the_median() {
+        let (width, height) = (24, 16);
+        let at = |i: u32| {
+            let (x, y) = (i % width, i / width);
+            let gain = if x < 4 && y < 4 { 64.0 } else { 1.0 };
+            let rgb = [(x % 8 + 1) as f32 / 16.0, (y % 4 + 1) as f32 / 8.0];
+            let reference = gain * Vec3::new(rgb[0], rgb[1], (x * y % 5 + 1) as f32 / 16.0);
+            let share = if (x + 2 * y).is_multiple_of(3) { 1.25 } else { 0.75 };
+            [share * reference, reference]
+        };
+        let [x, r] = [0, 1].map(|side| {
+            Picture::new(width, height, (0..width * height).map(|i| at(i)[side]).collect())
+        });
+        let flip = Comparison::new(&x, &r, None).unwrap().flip();
+        assert!((flip - 0.124_964_3).abs() < 2e-6, "{flip}");
+    }
+
     #[test]
     fn powers_of_two_change_nothing_and_an_absolute_floor_would() {
         let (x, r) = (noise(40, 30, 1), noise(40, 30, 2));

@@ -38,7 +38,7 @@ impl CacheKey {
         }))
     }
 
-    fn bytes(self) -> [u8; 16] {
+    pub(super) fn bytes(self) -> [u8; 16] {
         let mut bytes = [0; 16];
         bytes[..8].copy_from_slice(&self.0[0].to_le_bytes());
         bytes[8..].copy_from_slice(&self.0[1].to_le_bytes());
@@ -185,7 +185,7 @@ impl Reference {
     }
 }
 
-fn checksum(bytes: &[u8]) -> [u8; 16] {
+pub(super) fn checksum(bytes: &[u8]) -> [u8; 16] {
     CacheKey::of(|hasher| hasher.write(bytes)).bytes()
 }
 

@@ -18,6 +18,7 @@ mod exr_file;
 mod plot;
 mod png;
 mod results;
+pub(crate) mod sealed;
 mod table;
 
 pub use atomic::write_atomic;
@@ -27,7 +28,7 @@ pub use plot::{error_time_svg, warmup_svg};
 pub use png::{Tile, ToneMap, contact_sheet, error_map, write_png};
 pub use results::{
     Bias, Budget, BudgetKind, Claim, Curve, CurvePoint, ErrorSpectrum, Figure, FrameTime, METRICS,
-    PassTime, ReferenceInfo, Results, Row, SCHEMA, SpectrumPoint, Warmup,
+    PassSample, PassTime, ReferenceInfo, Results, Row, SCHEMA, Sample, SpectrumPoint, Warmup,
 };
 #[cfg(feature = "cli")]
 pub(crate) use table::align;

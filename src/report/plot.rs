@@ -38,7 +38,12 @@ pub fn warmup_svg(title: &str, warmups: &[Warmup]) -> Result<Option<String>> {
             technique: warmup.technique.clone(),
             points: (1..)
                 .zip(&warmup.relmse)
-                .map(|(frame, &relmse)| CurvePoint { effort: 1.0, ms: f64::from(frame), relmse })
+                .map(|(frame, &relmse)| CurvePoint {
+                    effort: 1.0,
+                    ms: f64::from(frame),
+                    relmse,
+                    samples: Vec::new(),
+                })
                 .collect(),
         })
         .collect();
@@ -180,6 +185,7 @@ mod tests {
                 effort: 1.0,
                 ms,
                 relmse: Figure { mean, ci: Some([0.5 * mean, 1.5 * mean]) },
+                samples: Vec::new(),
             })
             .collect();
         Curve { technique: name.into(), points }

@@ -52,6 +52,10 @@ pub struct Results {
     /// Whether the user stopped the run early: there are fewer restarts then.
     #[serde(default)]
     pub interrupted: bool,
+    /// Restarts, of all techniques together, that an earlier, interrupted run made: with the times
+    /// that they took then.
+    #[serde(default)]
+    pub resumed: u32,
     /// One a technique.
     pub rows: Vec<Row>,
     /// Error against time, one a technique.
@@ -114,6 +118,49 @@ pub struct Row {
     /// Estimates that were not finite: each is a bug.
     #[serde(default)]
     pub non_finite: u64,
+    /// What each restart measured, in their order: what all figures above are made of.
+    #[serde(default)]
+    pub samples: Vec<Sample>,
+}
+
+/// What one restart measured.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Sample {
+    /// Of its frames' random numbers ([`Shot::run`](crate::plan::Shot::run)): a loop with it
+    /// renders the same pictures.
+    pub seed: u64,
+    /// Milliseconds of every frame, the cold start first.
+    pub ms: Vec<f64>,
+    /// Rays by kind, over its steady frames in all: all but the cold start, unless there is no
+    /// other.
+    pub rays: BTreeMap<String, u64>,
+    /// Time of each pass in the same frames.
+    pub passes: Vec<PassSample>,
+    /// By name, of the judged picture; see [`METRICS`].
+    pub metrics: BTreeMap<String, f64>,
+    /// `relmse` of every frame, the cold start first, where [`Results::warmups`] has the technique.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub warmup: Vec<f64>,
+    /// Estimates that were not finite, in any frame.
+    #[serde(default)]
+    pub non_finite: u64,
+}
+
+impl Sample {
+    /// Times of the frames after the cold start; the cold start's where there is no other.
+    #[must_use]
+    pub fn steady(&self) -> &[f64] {
+        if self.ms.len() > 1 { &self.ms[1..] } else { &self.ms }
+    }
+}
+
+/// Times of a pass in one restart.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PassSample {
+    /// Its name in the plan.
+    pub name: String,
+    /// Milliseconds of each steady frame that it ran in.
+    pub ms: Vec<f64>,
 }
 
 /// What a technique may spend on a frame.
@@ -184,6 +231,9 @@ pub struct FrameTime {
     /// The same frames again, after everything else.
     #[serde(default)]
     pub recalibrated: Option<f64>,
+    /// The times that `calibrated` and `recalibrated` are medians of.
+    #[serde(default)]
+    pub calibrations: [Vec<f64>; 2],
 }
 
 impl FrameTime {
@@ -256,6 +306,10 @@ pub struct CurvePoint {
     pub ms: f64,
     /// At that effort.
     pub relmse: Figure,
+    /// What each restart measured: seed, times and `relmse`. The row's own effort has none: its
+    /// point is of [`Row::samples`].
+    #[serde(default)]
+    pub samples: Vec<Sample>,
 }
 
 /// How a technique's frames become better with its history.
@@ -306,6 +360,7 @@ pub(crate) mod tests {
                 ci: Some([9.5, 10.5]),
                 calibrated: Some(10.0),
                 recalibrated: Some(10.2),
+                calibrations: [vec![10.0], vec![10.2]],
             },
             rays_per_pixel: BTreeMap::from([("shadow".into(), 3.5)]),
             bytes_per_pixel: 0.0,
@@ -313,6 +368,7 @@ pub(crate) mod tests {
             metrics: BTreeMap::from([("relmse".into(), figure)]),
             bias: None,
             non_finite: 0,
+            samples: Vec::new(),
         }
     }
 
@@ -336,6 +392,7 @@ pub(crate) mod tests {
             },
             schema: SCHEMA,
             interrupted: false,
+            resumed: 0,
             rows,
             curves: Vec::new(),
             warmups: Vec::new(),

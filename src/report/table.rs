@@ -128,6 +128,12 @@ fn notes(results: &Results) -> Vec<String> {
         "± is half of the 95 % interval over restarts (of ms/frame: of each restart's median); bold: lowest, and no other interval meets it."
             .to_string(),
     ];
+    if results.resumed > 0 {
+        notes.push(format!(
+            "{} restarts, and the times that they took, are of an earlier run that was interrupted.",
+            results.resumed
+        ));
+    }
     for row in &results.rows {
         if row.budget.over_budget {
             notes.push(format!(

@@ -49,6 +49,17 @@ impl Moments {
         self.count += other.count;
     }
 
+    /// All of its state, for [`Self::from_state`].
+    #[cfg(feature = "experiment")]
+    pub(super) fn state(&self) -> [f64; 4] {
+        [self.count as f64, self.mean, self.m2, self.m3]
+    }
+
+    #[cfg(feature = "experiment")]
+    pub(super) fn from_state([count, mean, m2, m3]: [f64; 4]) -> Self {
+        Self { count: count as u64, mean, m2, m3 }
+    }
+
     /// Number of samples n.
     #[must_use]
     pub const fn count(&self) -> u64 {

@@ -182,6 +182,40 @@ impl Restarts {
         Ok(())
     }
 
+    /// All sums, for [`Self::restore`].
+    #[cfg(feature = "experiment")]
+    pub(crate) fn state(&self) -> Vec<f64> {
+        let moments = std::iter::once(&self.image).chain(&self.tiles).chain(&self.pixels);
+        let state = moments.flatten().flat_map(Moments::state);
+        std::iter::once(self.not_finite as f64).chain(state).collect()
+    }
+
+    /// Takes the sums of restarts of the same layout; `None` where it has another.
+    #[cfg(feature = "experiment")]
+    pub(crate) fn restore(mut self, state: &[f64]) -> Option<Self> {
+        let (not_finite, sums) = state.split_first()?;
+        let (sums, rest) = sums.as_chunks::<4>();
+        let moments = std::iter::once(&mut self.image);
+        let moments = moments.chain(&mut self.tiles).chain(&mut self.pixels).flatten();
+        let mut count = 0;
+        for (moments, sums) in moments.zip(sums) {
+            *moments = Moments::from_state(*sums);
+            count += 1;
+        }
+        self.not_finite = *not_finite as u64;
+        let places = QUANTITIES * (1 + self.tiles.len() + self.pixels.len());
+        (rest.is_empty() && sums.len() == places && count == places).then_some(self)
+    }
+
+    /// Mean of every pixel over restarts.
+    #[cfg(feature = "experiment")]
+    pub(crate) fn mean_picture(&self) -> Vec<Vec3> {
+        let mean = |moments: &[Moments; QUANTITIES]| {
+            Vec3::from_array([0, 1, 2].map(|channel| moments[channel].mean() as f32))
+        };
+        self.pixels.iter().map(mean).collect()
+    }
+
     /// Number of restarts R.
     #[must_use]
     pub fn count(&self) -> u64 {

@@ -49,7 +49,10 @@ impl Place {
     /// The only reference in the cache.
     fn cached(&self) -> PathBuf {
         let files = std::fs::read_dir(self.path("cache/afterimage")).unwrap();
-        let mut files: Vec<PathBuf> = files.map(|f| f.unwrap().path()).collect();
+        let mut files: Vec<PathBuf> = files
+            .map(|file| file.unwrap().path())
+            .filter(|path| path.extension().is_some_and(|e| e == "reference"))
+            .collect();
         assert_eq!(files.len(), 1, "{files:?}");
         files.remove(0)
     }
@@ -330,6 +333,30 @@ fn a_ladder_prints_and_writes_a_row_a_rung() {
 }
 
 #[test]
+fn a_ladders_plan_costs_nothing_and_its_rows_are_kept() {
+    let place = Place::new("ladder-plan");
+    let line = format!(
+        "verify nee {} --ladder --rungs still --size 8x8 --ages 1 --delta 20 --reference-time 2",
+        cornell()
+    );
+    let planned = place.run(&format!("{line} --plan")).done();
+    assert!(
+        planned.out.contains("minutes in all") && !planned.out.contains("verdict"),
+        "{planned:?}"
+    );
+    assert!(planned.out.contains("1 rungs") || planned.out.contains("2 rungs"), "{planned:?}");
+    let first = place.run(&line).done();
+    assert!(first.out.contains("pass") && !first.out.contains("open"), "{first:?}");
+    // Nothing is left to do; the rows are there all the same.
+    assert!(place.run(&format!("{line} --plan")).done().out.contains("0 rungs"));
+    let rows = |ran: &Ran| -> Vec<String> {
+        ran.out.lines().filter(|line| line.starts_with('|')).map(String::from).collect()
+    };
+    assert_eq!(rows(&place.run(&line).done()), rows(&first));
+    assert!(!place.run(&format!("{line} --fresh --plan")).done().out.contains("0 rungs"));
+}
+
+#[test]
 fn motion_and_camera_are_part_of_the_scene_that_references_are_of() {
     let place = Place::new("motion");
     let line = format!(
@@ -555,4 +582,48 @@ fn an_interrupt_leaves_whole_files() {
             assert!(!name.ends_with(".tmp"), "{name}");
         }
     }
+}
+
+/// Killed in the middle of the restarts: the same command goes on with those that are done.
+#[cfg(unix)]
+#[test]
+fn a_killed_comparison_goes_on() {
+    let place = Place::new("killed");
+    let line = |restarts: u32| {
+        format!(
+            "compare {} --size 16x12 --depth 2 --frames 2 --restarts {restarts} --curve-restarts 0 \
+             --techniques nee;ris --reference-time 1 --out killed",
+            cornell()
+        )
+    };
+    let mut child = place
+        .command(&line(1_000_000))
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let kept = || -> usize {
+        let folders = std::fs::read_dir(place.path("cache/afterimage/kept")).into_iter().flatten();
+        let files = folders.flat_map(|folder| std::fs::read_dir(folder.unwrap().path()).unwrap());
+        files
+            .filter(|file| {
+                file.as_ref().unwrap().path().extension().is_some_and(|e| e == "restart")
+            })
+            .count()
+    };
+    let begin = Instant::now();
+    while kept() < 12 && begin.elapsed() < Duration::from_secs(120) {
+        assert!(child.try_wait().unwrap().is_none(), "it ended before it was killed");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert!(kept() >= 12 && !place.path("killed/results.json").exists());
+
+    let ran = place.run(&line(5)).done();
+    assert!(ran.out.contains("10 restarts, and the times that they took"), "{ran:?}");
+    let results = place.results("killed");
+    assert_eq!(results.resumed, 10);
+    assert!(results.rows.iter().all(|row| row.restarts == 5 && row.samples.len() == 5));
+    assert!(!place.path("cache/afterimage/kept").exists(), "what is done is forgotten");
 }

@@ -7,9 +7,13 @@ mod cli;
 mod course;
 mod determinism;
 mod elision;
+#[cfg(feature = "experiment")]
+mod figures;
 #[cfg(all(feature = "gpu", feature = "load"))]
 mod gpu;
 mod guides;
+#[cfg(feature = "experiment")]
+mod kept;
 mod lamps;
 mod laws;
 mod layering;

@@ -18,6 +18,7 @@ const TURNS: usize = 3;
 const FRAMES_A_TURN: usize = 3;
 
 /// What a frame may take, and what fits into it.
+#[derive(Clone, Debug)]
 pub(super) struct Settled {
     pub(super) kind: BudgetKind,
     pub(super) value: f64,
@@ -60,7 +61,8 @@ pub(super) fn settle(
             let run = seed(session.shot.run, SeedUse::Calibration, number as u32, steps);
             loops.push(session.start(&techniques[number], effort(number, steps), run)?);
         }
-        steady_times(session, &mut loops.iter_mut().collect::<Vec<_>>())
+        let times = steady_times(session, &mut loops.iter_mut().collect::<Vec<_>>())?;
+        Ok(times.iter().map(|times| median_p99(times)[0]).collect())
     };
     let ones: Vec<(usize, u32)> = units.iter().copied().enumerate().collect();
     let at_one = measure(&ones)?;
@@ -78,9 +80,9 @@ pub(super) fn settle(
     Ok(Settled { kind: BudgetKind::FrameTime, value, efforts })
 }
 
-/// Median milliseconds of each technique at its effort, by turns: the calibration, and what it is
-/// compared with when the run is over.
-pub(super) fn times(session: &Session, contenders: &mut [Contender]) -> Result<Vec<f64>> {
+/// Milliseconds of steady frames of each technique at its effort, by turns: the calibration, and
+/// what it is compared with when the run is over.
+pub(super) fn times(session: &Session, contenders: &mut [Contender]) -> Result<Vec<Vec<f64>>> {
     let progress = session.host().begin("calibration", 1);
     progress.say("all techniques at their efforts");
     for Contender { frames, number, .. } in contenders.iter_mut() {
@@ -91,8 +93,8 @@ pub(super) fn times(session: &Session, contenders: &mut [Contender]) -> Result<V
     steady_times(session, &mut loops)
 }
 
-/// Median milliseconds of the frames of each loop after its first, a few of each by turns.
-fn steady_times(session: &Session, loops: &mut [&mut FrameLoop]) -> Result<Vec<f64>> {
+/// Milliseconds of the frames of each loop after its first, a few of each by turns.
+fn steady_times(session: &Session, loops: &mut [&mut FrameLoop]) -> Result<Vec<Vec<f64>>> {
     for frames in loops.iter_mut() {
         session.next(frames)?;
     }
@@ -104,5 +106,5 @@ fn steady_times(session: &Session, loops: &mut [&mut FrameLoop]) -> Result<Vec<f
             }
         }
     }
-    Ok(times.iter().map(|times| median_p99(times)[0]).collect())
+    Ok(times)
 }

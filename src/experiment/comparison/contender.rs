@@ -2,15 +2,15 @@
 
 use std::sync::Arc;
 
-use super::{Against, Comparison, JudgedFrames};
-use crate::counters::Counters;
+use super::{Comparison, Course, JudgedFrames};
 use crate::experiment::calibrate::median_p99;
 use crate::experiment::seeds::{SeedUse, seed};
-use crate::experiment::session::{Mean, Session, add_times};
+use crate::experiment::session::{Mean, Session};
 use crate::experiment::{bias, figures};
 use crate::frame::{Frame, FrameLoop};
 use crate::metrics;
 use crate::picture::Picture;
+use crate::report::{PassSample, Sample};
 use crate::stats::{Moments, Restarts};
 use crate::techniques::Technique;
 use crate::{Error, Result};
@@ -25,27 +25,31 @@ pub(super) struct Contender {
     pub(super) number: u32,
     pub(super) effort: f32,
     pub(super) frames: FrameLoop,
-    pub(super) steady: Vec<f64>,
-    pub(super) first: Vec<f64>,
-    /// Each restart's median steady frame.
-    pub(super) medians: Moments,
-    /// Median steady frame before the first restart and after the last one, where there is a frame
-    /// time to keep.
-    pub(super) calibrated: Option<f64>,
-    pub(super) recalibrated: Option<f64>,
-    pub(super) passes: Vec<(&'static str, Vec<f64>)>,
-    pub(super) work: Counters,
-    pub(super) work_frames: u64,
+    /// Steady frames before the first restart and after the last one, where there is a frame time
+    /// to keep.
+    pub(super) calibrations: [Vec<f64>; 2],
+    /// What each restart measured.
+    pub(super) samples: Vec<Sample>,
+    /// How many of them an interrupted run made.
+    pub(super) resumed: u32,
     pub(super) restarts: Restarts,
-    pub(super) metrics: Vec<(&'static str, Moments)>,
-    /// `relmse` of each frame, where that is wanted.
-    pub(super) warmup: Vec<Moments>,
+    /// Frames whose `relmse` is wanted; 0: none.
+    pub(super) warmup: u32,
     /// Power of the error in each ring.
     pub(super) rings: Vec<Moments>,
     /// For figures that need all restarts at once.
     pub(super) pictures: Vec<Picture>,
     pub(super) shown: Option<Picture>,
     pub(super) emission: Option<Picture>,
+}
+
+/// A restart as it was rendered.
+pub(super) struct Rendered {
+    pub(super) sample: Sample,
+    /// What is judged.
+    pub(super) picture: Picture,
+    /// Emission that is seen directly in the judged frame.
+    pub(super) emission: Picture,
 }
 
 impl Contender {
@@ -61,17 +65,11 @@ impl Contender {
             number,
             effort,
             frames: session.start(technique, effort, 0)?,
-            steady: Vec::new(),
-            first: Vec::new(),
-            medians: Moments::new(),
-            calibrated: None,
-            recalibrated: None,
-            passes: Vec::new(),
-            work: Counters::default(),
-            work_frames: 0,
+            calibrations: Default::default(),
+            samples: Vec::new(),
+            resumed: 0,
             restarts: bias::restarts(session.shot.size)?,
-            metrics: Vec::new(),
-            warmup: Vec::new(),
+            warmup: 0,
             rings: vec![Moments::new(); figures::RINGS],
             pictures: Vec::new(),
             shown: None,
@@ -83,18 +81,19 @@ impl Contender {
         self.restarts.count() > 0
     }
 
-    pub(super) fn make_room_for_warmup(&mut self, frames: u32) {
-        self.warmup = vec![Moments::new(); frames as usize];
-    }
-
-    /// Steady frames; the first ones where there are no others.
-    pub(super) fn times(&self) -> &[f64] {
-        if self.steady.is_empty() { &self.first } else { &self.steady }
+    /// Steady frames of all restarts; the first ones where there are no others.
+    pub(super) fn times(&self) -> Vec<f64> {
+        self.samples.iter().flat_map(Sample::steady).copied().collect()
     }
 
     /// Median steady frame.
     pub(super) fn median(&self) -> f64 {
-        median_p99(self.times())[0]
+        median_p99(&self.times())[0]
+    }
+
+    /// A metric over restarts.
+    pub(super) fn metric(&self, name: &str) -> Moments {
+        self.samples.iter().filter_map(|sample| sample.metrics.get(name).copied()).collect()
     }
 
     /// Frames that a picture of the judged quality takes where no time is measured: without
@@ -103,50 +102,52 @@ impl Contender {
         if judged.accumulate || self.frames.plan().keeps_history() { judged.frames } else { 1 }
     }
 
-    /// Renders a restart and measures its frames; gives the judged picture.
+    /// The seed of a restart.
+    pub(super) fn seed(&self, session: &Session, index: u32) -> u64 {
+        seed(session.shot.run, SeedUse::Restart, self.number, index)
+    }
+
+    /// Renders a restart and measures its frames.
     fn restart(
         &mut self,
         session: &Session,
         index: u32,
         judged: JudgedFrames,
         truth: &Picture,
-    ) -> Result<Picture> {
-        let Self { number, frames, steady, first, passes, work, work_frames, .. } = self;
-        let (warmup, emission) = (&mut self.warmup, &mut self.emission);
-        frames.restart(seed(session.shot.run, SeedUse::Restart, *number, index));
+    ) -> Result<Rendered> {
+        let seed = self.seed(session, index);
+        let mut sample = Sample { seed, ..Sample::default() };
+        let wanted = self.warmup;
+        let mut emission = None;
         let mut compared = Ok(());
-        let (first_before, steady_before) = (first.len(), steady.len());
-        let picture = judged_picture(session, frames, judged, |at, frame| {
-            if let Some(moments) = warmup.get_mut(at as usize) {
+        self.frames.restart(seed);
+        let picture = judged_picture(session, &mut self.frames, judged, |at, frame| {
+            if at < wanted {
                 match figures::relmse(&frame.picture(), truth) {
-                    Ok(relmse) => moments.push(relmse),
+                    Ok(relmse) => sample.warmup.push(relmse),
                     Err(error) => compared = Err(error),
                 }
             }
-            let times = if at == 0 { &mut *first } else { &mut *steady };
-            times.push(frame.milliseconds());
+            sample.ms.push(frame.milliseconds());
+            sample.non_finite += frame.counters.non_finite;
             // Passes that run in the first frame only are no part of a steady frame, unless there
             // is no other.
             if at > 0 || judged.frames == 1 {
-                *work = *work + frame.counters;
-                *work_frames += 1;
-                add_times(passes, frame);
+                add_work(&mut sample, frame);
             }
-            if emission.is_none() && at + 1 == judged.frames {
-                *emission = Some(frame.emission());
+            if at + 1 == judged.frames {
+                emission = Some(frame.emission());
             }
         })?;
         compared?;
-        // A restart of a single frame has no steady one.
-        let own = &steady[steady_before..];
-        let own = if own.is_empty() { &first[first_before..] } else { own };
-        self.medians.push(median_p99(own)[0]);
-        Ok(picture)
+        let emission = emission.unwrap_or_else(|| Picture::new(0, 0, Vec::new()));
+        Ok(Rendered { sample, picture, emission })
     }
 
-    /// Adds a restart's picture to everything that is said about pictures.
-    fn judge(&mut self, picture: Picture, against: Against<'_>, keep: bool) -> Result<()> {
-        let Against { truth, guides } = against;
+    /// Adds a restart to everything that is said about restarts.
+    fn judge(&mut self, rendered: Rendered, course: Course<'_>, keep: bool) -> Result<()> {
+        let Course { truth, guides, .. } = course;
+        let Rendered { mut sample, picture, emission } = rendered;
         self.restarts.push(&picture.pixels)?;
         for (ring, power) in self.rings.iter_mut().zip(figures::spectrum(&picture, truth)?) {
             ring.push(power);
@@ -156,17 +157,30 @@ impl Contender {
             normal: &guides.normal,
             depth: &guides.depth,
         };
-        for (name, value) in figures::of_picture(&picture, truth, Some(&guides))? {
-            match self.metrics.iter_mut().find(|(known, _)| *known == name) {
-                Some((_, moments)) => moments.push(value),
-                None => self.metrics.push((name, [value].into_iter().collect())),
-            }
-        }
+        let found = figures::of_picture(&picture, truth, Some(&guides))?;
+        sample.metrics = found.into_iter().map(|(name, value)| (name.to_string(), value)).collect();
+        self.samples.push(sample);
         if keep {
             self.pictures.push(picture.clone());
         }
         self.shown.get_or_insert(picture);
+        self.emission.get_or_insert(emission);
         Ok(())
+    }
+}
+
+/// Adds rays and pass times of a steady frame.
+fn add_work(sample: &mut Sample, frame: &Frame<'_>) {
+    for (name, count) in frame.counters.entries() {
+        if let Some(kind) = name.strip_suffix("_rays") {
+            *sample.rays.entry(kind.to_string()).or_default() += count;
+        }
+    }
+    for &(name, ms) in frame.passes {
+        match sample.passes.iter_mut().find(|pass| pass.name == name) {
+            Some(pass) => pass.ms.push(ms),
+            None => sample.passes.push(PassSample { name: name.to_string(), ms: vec![ms] }),
+        }
     }
 }
 
@@ -227,9 +241,9 @@ impl Comparison {
         &self,
         session: &Session,
         contenders: &mut [Contender],
-        judged: JudgedFrames,
-        against: Against<'_>,
+        course: Course<'_>,
     ) -> Result<()> {
+        let Course { judged, truth, kept, .. } = course;
         let moves = session.stage.facts().moves();
         let steps = u64::from(self.restarts) * contenders.len() as u64;
         let progress = session.host().begin("restarts", steps);
@@ -239,12 +253,22 @@ impl Comparison {
                 progress.say(&contender.spec);
                 // Without history and motion all frames have one law: a first and a steady one give
                 // picture and times.
-                let all = moves || !contender.warmup.is_empty();
+                let all = moves || contender.warmup > 0;
                 let needed =
                     if all { judged.frames } else { contender.needed_frames(judged).max(2) };
                 let judged = JudgedFrames { frames: judged.frames.min(needed), ..judged };
-                let picture = contender.restart(session, index, judged, against.truth)?;
-                contender.judge(picture, against, keep)?;
+                let rendered = match kept.restart(contender, index)? {
+                    Some(rendered) => {
+                        contender.resumed += 1;
+                        rendered
+                    }
+                    None => {
+                        let made = contender.restart(session, index, judged, truth)?;
+                        kept.store_restart(contender, index, &made)?;
+                        made
+                    }
+                };
+                contender.judge(rendered, course, keep)?;
                 progress.step();
             }
         }

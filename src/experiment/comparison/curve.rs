@@ -2,17 +2,15 @@
 
 use super::budget::has_whole_efforts;
 use super::contender::{Contender, judged_picture};
-use super::{Comparison, JudgedFrames};
+use super::{Comparison, Course, JudgedFrames};
 use crate::Result;
 use crate::experiment::calibrate::median_p99;
 use crate::experiment::figures;
 use crate::experiment::seeds::{SeedUse, seed};
 use crate::experiment::session::Session;
 use crate::frame::FrameLoop;
-use crate::picture::Picture;
 use crate::plan::Shot;
-use crate::report::{Curve, CurvePoint};
-use crate::stats::Moments;
+use crate::report::{Curve, CurvePoint, Sample};
 
 /// Efforts of a curve beside `effort` itself: a quarter, a half and twice of it, or two and four
 /// times an effort near 1; whole where that is all that a technique has.
@@ -37,8 +35,7 @@ struct Measured<'a> {
     effort: f32,
     frames: FrameLoop,
     judged: JudgedFrames,
-    times: Vec<f64>,
-    relmse: Moments,
+    samples: Vec<Sample>,
 }
 
 impl<'a> Measured<'a> {
@@ -56,29 +53,41 @@ impl<'a> Measured<'a> {
             effort,
             frames: session.start(&contender.technique, effort, 0)?,
             judged: JudgedFrames { frames, ..judged },
-            times: Vec::new(),
-            relmse: Moments::new(),
+            samples: Vec::new(),
         })
     }
 
     /// Renders one restart.
-    fn restart(&mut self, session: &Session, index: u32, truth: &Picture) -> Result<()> {
-        let Self { contender, effort, frames, judged, times, relmse } = self;
+    fn restart(&mut self, session: &Session, index: u32, course: Course<'_>) -> Result<()> {
         // Efforts of a curve are more than a hundredth apart.
-        let index = ((100.0 * *effort) as u32).wrapping_mul(4096).wrapping_add(index);
-        frames.restart(seed(session.shot.run, SeedUse::Curve, contender.number, index));
-        let picture = judged_picture(session, frames, *judged, |at, frame| {
-            if at > 0 || judged.frames == 1 {
-                times.push(frame.milliseconds());
-            }
+        let piece = ((100.0 * self.effort) as u32).wrapping_mul(4096).wrapping_add(index);
+        let seed = seed(session.shot.run, SeedUse::Curve, self.contender.number, piece);
+        let place = (self.effort, index);
+        if let Some(sample) = course.kept.curve_restart(self.contender, place, seed)? {
+            self.samples.push(sample);
+            return Ok(());
+        }
+        let mut sample = Sample { seed, ..Sample::default() };
+        self.frames.restart(seed);
+        let picture = judged_picture(session, &mut self.frames, self.judged, |_, frame| {
+            sample.ms.push(frame.milliseconds());
+            sample.non_finite += frame.counters.non_finite;
         })?;
-        relmse.push(figures::relmse(&picture, truth)?);
+        sample.metrics.insert("relmse".to_string(), figures::relmse(&picture, course.truth)?);
+        course.kept.store_curve_restart(self.contender, place, &sample)?;
+        self.samples.push(sample);
         Ok(())
     }
 
-    fn point(&self) -> CurvePoint {
-        let [ms, _] = median_p99(&self.times);
-        CurvePoint { effort: self.effort, ms, relmse: figures::over_restarts(&self.relmse) }
+    fn point(self) -> CurvePoint {
+        let times: Vec<f64> = self.samples.iter().flat_map(Sample::steady).copied().collect();
+        let relmse = self.samples.iter().map(|sample| sample.metrics["relmse"]).collect();
+        CurvePoint {
+            effort: self.effort,
+            ms: median_p99(&times)[0],
+            relmse: figures::over_restarts(&relmse),
+            samples: self.samples,
+        }
     }
 }
 
@@ -90,8 +99,7 @@ impl Comparison {
         &self,
         session: &Session,
         contenders: &[Contender],
-        judged: JudgedFrames,
-        truth: &Picture,
+        course: Course<'_>,
     ) -> Result<Vec<Curve>> {
         let others = |c: &Contender| other_efforts(c.effort, has_whole_efforts(c.frames.plan()));
         let efforts: Vec<Vec<f32>> = contenders.iter().map(others).collect();
@@ -103,13 +111,13 @@ impl Comparison {
             let mut points = Vec::new();
             for (at, contender) in contenders.iter().enumerate() {
                 if let Some(&effort) = efforts[at].get(place) {
-                    points.push((at, Measured::new(session, contender, effort, judged)?));
+                    points.push((at, Measured::new(session, contender, effort, course.judged)?));
                 }
             }
             for index in 0..self.curve_restarts {
                 for (_, point) in &mut points {
                     progress.say(&format!("{} at effort {}", point.contender.spec, point.effort));
-                    point.restart(session, index, truth)?;
+                    point.restart(session, index, course)?;
                     progress.step();
                 }
             }
@@ -127,11 +135,12 @@ impl Comparison {
 impl Contender {
     /// The curve with the point that the restarts themselves give.
     fn own_curve(&self) -> Curve {
-        let relmse = self.metrics.iter().find(|(name, _)| *name == "relmse");
-        let point = relmse.map(|(_, moments)| CurvePoint {
+        let relmse = self.metric("relmse");
+        let point = (relmse.count() > 0).then(|| CurvePoint {
             effort: self.effort,
             ms: self.median(),
-            relmse: figures::over_restarts(moments),
+            relmse: figures::over_restarts(&relmse),
+            samples: Vec::new(),
         });
         Curve { technique: self.spec.clone(), points: point.into_iter().collect() }
     }

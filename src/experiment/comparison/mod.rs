@@ -15,11 +15,14 @@ mod budget;
 mod contender;
 mod curve;
 mod files;
+mod kept;
 mod row;
 
 use std::sync::Arc;
 
 use self::contender::Contender;
+use self::kept::{KeptRun, Start, digest};
+use super::kept::Keep;
 use super::reference::{self, ReferenceSettings, SourcedReference};
 use super::session::{self, Session};
 use super::{figures, machine};
@@ -70,6 +73,9 @@ pub struct Comparison {
     pub warmup: bool,
     /// Where the reference comes from.
     pub reference: ReferenceSettings,
+    /// Where restarts are kept until the comparison is done, so that one that was interrupted goes
+    /// on: with the efforts of its beginning, and with the times that its restarts took.
+    pub keep: Option<Keep>,
 }
 
 impl Default for Comparison {
@@ -83,6 +89,7 @@ impl Default for Comparison {
             curve_restarts: 4,
             warmup: false,
             reference: ReferenceSettings::default(),
+            keep: None,
         }
     }
 }
@@ -120,7 +127,8 @@ struct JudgedFrames {
 
 impl Comparison {
     /// Compares techniques. A host that stops the work while restarts are rendered gets what was
-    /// done, marked as [`interrupted`](Results::interrupted).
+    /// done, marked as [`interrupted`](Results::interrupted); the same again goes on from there
+    /// ([`Comparison::keep`]).
     ///
     /// # Errors
     /// An interruption before every technique has a restart; no technique; a warm-up or a mean over
@@ -129,37 +137,49 @@ impl Comparison {
         self.refuse(session, techniques)?;
         let judged = JudgedFrames { frames: self.frames, accumulate: self.accumulate };
 
-        // Effort, then a pilot of each technique.
-        let budget = budget::settle(session, techniques, self.spending)?;
+        let kept = KeptRun::open(self, session, techniques)?;
+
+        // Effort, then a pilot of each technique, unless an interrupted run had them.
+        let begun = kept.start(techniques.len())?;
+        let budget = match &begun {
+            Some(start) => start.budget.clone(),
+            None => budget::settle(session, techniques, self.spending)?,
+        };
         let mut contenders = Vec::new();
         for (at, technique) in techniques.iter().enumerate() {
             contenders.push(Contender::new(session, technique, at as u32, budget.efforts[at])?);
         }
         let timed = budget.kind == BudgetKind::FrameTime;
-        if timed {
-            let times = budget::times(session, &mut contenders)?;
-            contenders.iter_mut().zip(times).for_each(|(c, ms)| c.calibrated = Some(ms));
+        let calibrations = match &begun {
+            Some(start) => start.calibrations.clone(),
+            None if timed => budget::times(session, &mut contenders)?,
+            None => vec![Vec::new(); contenders.len()],
+        };
+        for (contender, times) in contenders.iter_mut().zip(&calibrations) {
+            contender.calibrations[0].clone_from(times);
         }
-        let variance = contender::pilot(session, &mut contenders, judged)?;
+        let variance = match &begun {
+            Some(start) => start.variance,
+            None => contender::pilot(session, &mut contenders, judged)?,
+        };
 
-        // The curve's longest frames are four times as long, so their error is as many times
-        // smaller.
-        let reach = if self.curve_restarts > 0 { 4.0 } else { 1.0 };
         let frozen = session.frozen(self.frames - 1)?;
-        let made = reference::obtain(
-            &frozen,
-            &self.reference,
-            &session::technique("nee")?,
-            REFERENCE_SHARE * variance / reach,
-        )?;
+        let (made, goes_on) = self.reference(&frozen, variance, begun.as_ref())?;
         let truth = made.reference.picture();
+        if begun.is_some() && !goes_on {
+            session.host().note("warning: the reference is another one than when this comparison was interrupted; its restarts are made anew");
+            kept.forget();
+        }
+        let start = Start { budget, calibrations, variance, truth: digest(&truth) };
+        kept.store_start(&start)?;
+        let budget = start.budget;
         let guides = Guides::new(frozen.stage.first_world(), None, session.shot.size);
 
         // Restarts and curves, as far as the host lets them come.
         self.choose_warmups(session, &mut contenders);
-        let against = Against { truth: &truth, guides: &guides };
+        let course = Course { judged, truth: &truth, guides: &guides, kept: &kept };
         let mut interrupted = false;
-        match self.restarts(session, &mut contenders, judged, against) {
+        match self.restarts(session, &mut contenders, course) {
             Ok(()) => {}
             Err(error) if error.is_interrupted() && contenders.iter().all(Contender::has_any) => {
                 interrupted = true;
@@ -168,7 +188,7 @@ impl Comparison {
         }
         let mut curves = Vec::new();
         if !interrupted && self.curve_restarts > 0 {
-            match self.curves(session, &contenders, judged, &truth) {
+            match self.curves(session, &contenders, course) {
                 Ok(found) => curves = found,
                 Err(error) if error.is_interrupted() => interrupted = true,
                 Err(error) => return Err(error),
@@ -177,7 +197,7 @@ impl Comparison {
         if !interrupted && timed {
             match budget::times(session, &mut contenders) {
                 Ok(times) => {
-                    contenders.iter_mut().zip(times).for_each(|(c, ms)| c.recalibrated = Some(ms));
+                    contenders.iter_mut().zip(times).for_each(|(c, ms)| c.calibrations[1] = ms);
                 }
                 Err(error) if error.is_interrupted() => interrupted = true,
                 Err(error) => return Err(error),
@@ -196,12 +216,38 @@ impl Comparison {
             .fold(f64::INFINITY, f64::min);
         results.reference.share_of_smallest_mse =
             results.reference.variance.map(|v| v / smallest).filter(|share| share.is_finite());
-        results = Results { interrupted, rows, curves, ..results };
+        let resumed = contenders.iter().map(|contender| contender.resumed).sum();
+        results = Results { interrupted, resumed, rows, curves, ..results };
+        if !interrupted {
+            kept.forget();
+        }
         let shown = contenders
             .into_iter()
             .map(|c| Shown { technique: c.spec, picture: c.shown, emission: c.emission })
             .collect();
         Ok(Compared { results, truth, guides, shown })
+    }
+
+    /// The reference, and whether it is the one that restarts of an interrupted run were compared
+    /// with: that is not continued, or it would be another.
+    fn reference(
+        &self,
+        frozen: &Session,
+        variance: f64,
+        begun: Option<&Start>,
+    ) -> Result<(SourcedReference, bool)> {
+        let nee = session::technique("nee")?;
+        if let Some(start) = begun {
+            let made = reference::obtain(frozen, &self.reference, &nee, f64::INFINITY)?;
+            if digest(&made.reference.picture()) == start.truth {
+                return Ok((made, true));
+            }
+        }
+        // The curve's longest frames are four times as long, so their error is as many times
+        // smaller.
+        let reach = if self.curve_restarts > 0 { 4.0 } else { 1.0 };
+        let wanted = REFERENCE_SHARE * variance / reach;
+        Ok((reference::obtain(frozen, &self.reference, &nee, wanted)?, false))
     }
 
     /// Refuses what has no answer.
@@ -234,14 +280,14 @@ impl Comparison {
         Ok(())
     }
 
-    /// Makes room for the error of every frame, where that is wanted or telling.
+    /// Asks for the error of every frame, where that is wanted or telling.
     fn choose_warmups(&self, session: &Session, contenders: &mut [Contender]) {
         if self.accumulate || session.stage.facts().moves() {
             return;
         }
         for contender in contenders {
             if self.warmup || contender.frames.plan().keeps_history() {
-                contender.make_room_for_warmup(self.frames);
+                contender.warmup = self.frames;
             }
         }
     }
@@ -273,14 +319,18 @@ impl Comparison {
             reference: made.info,
             schema: SCHEMA,
             interrupted: false,
+            resumed: 0,
             rows: Vec::new(),
             curves: Vec::new(),
             warmups: contenders
                 .iter()
-                .filter(|c| !c.warmup.is_empty())
-                .map(|c| Warmup {
-                    technique: c.spec.clone(),
-                    relmse: c.warmup.iter().map(figures::over_restarts).collect(),
+                .filter(|c| c.warmup > 0)
+                .map(|c| {
+                    let of_frame = |at: usize| {
+                        figures::over_restarts(&c.samples.iter().map(|s| s.warmup[at]).collect())
+                    };
+                    let relmse = (0..c.warmup as usize).map(of_frame).collect();
+                    Warmup { technique: c.spec.clone(), relmse }
                 })
                 .collect(),
             spectra: contenders.iter().map(Contender::spectrum).collect(),
@@ -288,9 +338,12 @@ impl Comparison {
     }
 }
 
-/// What pictures are compared with.
+/// What all restarts have in common.
 #[derive(Clone, Copy)]
-struct Against<'a> {
+struct Course<'a> {
+    judged: JudgedFrames,
+    /// What pictures are compared with.
     truth: &'a Picture,
     guides: &'a Guides,
+    kept: &'a KeptRun<'a>,
 }

@@ -1,6 +1,6 @@
 //! A technique's row of the results.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::JudgedFrames;
 use super::budget::{Settled, has_whole_efforts};
@@ -12,8 +12,8 @@ use crate::experiment::{bias, figures};
 use crate::picture::Picture;
 use crate::plan;
 use crate::report::{
-    Budget, BudgetKind, Claim, ErrorSpectrum, Figure, FrameTime, PassTime, Reference, Row,
-    SpectrumPoint,
+    Budget, BudgetKind, Claim, ErrorSpectrum, Figure, FrameTime, PassSample, PassTime, Reference,
+    Row, SpectrumPoint,
 };
 use crate::stats::Criteria;
 
@@ -28,16 +28,14 @@ impl Contender {
     ) -> Result<Row> {
         let plan = self.frames.plan();
         let pixels = session.shot.pixels();
-        let [median, p99] = median_p99(self.times());
-        let per_pixel = pixels as f64 * self.work_frames.max(1) as f64;
-        let rays_per_pixel = self
-            .work
-            .entries()
-            .into_iter()
-            .filter_map(|(name, n)| {
-                Some((name.strip_suffix("_rays")?.to_string(), n as f64 / per_pixel))
-            })
-            .collect();
+        let [median, p99] = median_p99(&self.times());
+        let median_of = |times: &[f64]| median_p99(times)[0];
+        let first: Vec<f64> = self.samples.iter().map(|sample| sample.ms[0]).collect();
+        let medians = self.samples.iter().map(|sample| median_of(sample.steady())).collect();
+        let calibrated = |at: usize| {
+            let times = &self.calibrations[at];
+            (!times.is_empty()).then(|| median_of(times))
+        };
         let test = bias::judge(&self.restarts, reference, &Criteria::default())?;
         Ok(Row {
             technique: self.spec.clone(),
@@ -57,33 +55,56 @@ impl Contender {
             ms_per_frame: FrameTime {
                 median,
                 p99,
-                first: median_p99(&self.first)[0],
-                ci: figures::over_restarts(&self.medians).ci,
-                calibrated: self.calibrated,
-                recalibrated: self.recalibrated,
+                first: median_of(&first),
+                ci: figures::over_restarts(&medians).ci,
+                calibrated: calibrated(0),
+                recalibrated: calibrated(1),
+                calibrations: self.calibrations.clone(),
             },
-            rays_per_pixel,
+            rays_per_pixel: self.rays(pixels),
             bytes_per_pixel: plan.bytes_per_pixel(pixels),
-            passes: self
-                .passes
-                .iter()
-                .map(|(name, times)| PassTime {
-                    name: (*name).to_string(),
-                    ms: median_p99(times)[0],
-                })
-                .collect(),
+            passes: self.passes(),
             metrics: self.figures(median, truth)?,
             bias: Some(bias::report(&test)),
-            non_finite: self.work.non_finite,
+            non_finite: self.samples.iter().map(|sample| sample.non_finite).sum(),
+            samples: self.samples.clone(),
         })
+    }
+
+    /// Rays a pixel of a steady frame, by kind.
+    fn rays(&self, pixels: usize) -> BTreeMap<String, f64> {
+        let frames: usize = self.samples.iter().map(|sample| sample.steady().len()).sum();
+        let mut rays = BTreeMap::new();
+        for (kind, count) in self.samples.iter().flat_map(|sample| &sample.rays) {
+            *rays.entry(kind.clone()).or_insert(0) += count;
+        }
+        let each = (pixels * frames.max(1)) as f64;
+        rays.into_iter().map(|(kind, count): (String, u64)| (kind, count as f64 / each)).collect()
+    }
+
+    /// Median time of each pass, in the order in which they run.
+    fn passes(&self) -> Vec<PassTime> {
+        let mut passes: Vec<(&str, Vec<f64>)> = Vec::new();
+        for PassSample { name, ms } in self.samples.iter().flat_map(|sample| &sample.passes) {
+            match passes.iter_mut().find(|(known, _)| known == name) {
+                Some((_, times)) => times.extend(ms),
+                None => passes.push((name, ms.clone())),
+            }
+        }
+        let time = |(name, times): (&str, Vec<f64>)| PassTime {
+            name: name.to_string(),
+            ms: median_p99(&times)[0],
+        };
+        passes.into_iter().map(time).collect()
     }
 
     /// All metrics, those of time and of all restarts together included.
     fn figures(&self, milliseconds: f64, truth: &Picture) -> Result<BTreeMap<String, Figure>> {
-        let mut all: BTreeMap<String, Figure> = self
-            .metrics
-            .iter()
-            .map(|(name, moments)| ((*name).to_string(), figures::over_restarts(moments)))
+        let names: BTreeSet<&String> =
+            self.samples.iter().flat_map(|sample| sample.metrics.keys()).collect();
+        let mut all: BTreeMap<String, Figure> = names
+            .into_iter()
+            .map(|name| (name.clone(), figures::over_restarts(&self.metric(name))))
             .collect();
         if let Some(relmse) = all.get("relmse").copied() {
             let seconds = milliseconds * 1e-3;

@@ -32,6 +32,11 @@ impl Counts {
         Self(self.0.iter().map(|count| count.saturating_mul(factor)).collect())
     }
 
+    /// Of the restarts before number `done`.
+    pub(super) fn up_to(&self, done: u32) -> Self {
+        Self(self.0.iter().map(|count| (*count).min(done)).collect())
+    }
+
     /// How many ages the restart of this number reaches.
     pub(super) fn reached(&self, index: u32) -> usize {
         self.0.iter().take_while(|count| index < **count).count()

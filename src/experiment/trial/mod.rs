@@ -14,6 +14,7 @@
 //! share the reference's error, so their levels must not be multiplied.
 
 mod counts;
+mod kept;
 mod outcome;
 mod pool;
 mod restarts;
@@ -24,13 +25,13 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use self::counts::Counts;
+use self::kept::{KeptTrial, Stages};
 use self::outcome::judge;
-use super::bias;
+use super::kept::Keep;
 use super::reference::{ReferenceSettings, SourcedReference};
 use super::seeds::SeedUse;
 use super::session::{self, Session};
-use crate::report::Reference;
-use crate::stats::{Restarts, Tolerance, Verdict};
+use crate::stats::{self, Restarts, Tolerance, Verdict};
 use crate::techniques::Technique;
 use crate::{Error, Result};
 
@@ -106,6 +107,25 @@ pub struct Trial {
     pub against: Option<Arc<dyn Technique>>,
     /// Where references come from.
     pub reference: ReferenceSettings,
+    /// Where restarts are kept, so that a trial that was interrupted goes on: with the same numbers
+    /// of restarts, whatever `seconds` says then, to the same bits. A trial that is over is
+    /// forgotten.
+    pub keep: Option<Keep>,
+}
+
+/// What a trial is going to cost.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TrialPlan {
+    /// Frames that will be judged.
+    pub ages: Vec<u32>,
+    /// Restarts that the stage has at each age.
+    pub restarts: Vec<u32>,
+    /// Of these, at the first age, those that are done already.
+    pub done: u32,
+    /// The stage that is next: 1 or 2.
+    pub stage: u32,
+    /// Seconds that the rest of the stage takes, as the pilot's clock says.
+    pub seconds: f64,
 }
 
 impl Default for Trial {
@@ -123,6 +143,7 @@ impl Default for Trial {
             number: 0,
             against: None,
             reference: ReferenceSettings::default(),
+            keep: None,
         }
     }
 }
@@ -158,28 +179,28 @@ impl Trial {
         pool: &mut ReferencePool,
         mut shown: impl FnMut(&StageOutcome, &[Arc<SourcedReference>]) -> Result<()>,
     ) -> Result<TrialOutcome> {
-        let running = Running {
-            session,
-            technique,
-            trial: self,
-            ages: self.ages.of(session, &**technique),
-            against: self.against(&**technique)?,
-        };
-        running.refuse()?;
+        let running = Running::new(self, session, technique)?;
+        let kept = KeptTrial::open(&running)?;
         let begin = Instant::now();
-        let (mut found, mut a_frame) = running.pilot(PILOT)?;
-        let length = running.long_pilot(a_frame);
-        if length >= 2 * PILOT {
-            (found, a_frame) = running.pilot(length)?;
-        }
+        let (found, a_frame) = running.pilots(&kept)?;
 
         let made = running.references(pool, &found)?;
         let of_age = |at: usize| &made[at.min(made.len() - 1)].reference;
 
-        let spent = if self.all_in { begin.elapsed().as_secs_f64() } else { 0.0 };
-        let frames_left = (self.seconds - spent).max(0.0) / a_frame;
+        // What was decided is kept, so that a trial that goes on has the same stages.
+        let stages = kept.stages()?;
+        let mut state = match stages {
+            Some(stages) => stages,
+            None => {
+                let spent = if self.all_in { begin.elapsed().as_secs_f64() } else { 0.0 };
+                let frames_left = (self.seconds - spent).max(0.0) / a_frame;
+                let all = running.stages(&found, frames_left)?;
+                Stages { all, judged: 0, done: 0, sums: Vec::new() }
+            }
+        };
+        kept.store_stages(&state)?;
         let mut stages = Vec::new();
-        for (seeds, counts) in running.stages(&found, of_age, frames_left)? {
+        for (seeds, counts) in state.all.clone().into_iter().skip(state.judged) {
             let second = seeds == SeedUse::SecondStage;
             let tolerance = Tolerance::of(self.delta);
             let tolerance = Tolerance {
@@ -187,17 +208,60 @@ impl Trial {
                 difference_alpha: if second { tolerance.difference_alpha } else { SCREEN_ALPHA },
                 ..tolerance
             };
-            let found = running.restarts(seeds, &counts)?;
+            let begun = (state.done, std::mem::take(&mut state.sums));
+            let found = running.more_restarts(seeds, &counts, begun.0, begun.1, |done, sums| {
+                // Nothing is kept of nothing.
+                let sums = if done == 0 { Vec::new() } else { sums.to_vec() };
+                kept.store_stages(&Stages { done, sums, ..state.clone() })
+            })?;
             let stage = if second { 2 } else { 1 };
             let judged = StageOutcome { stage, ..judge(found, &running.ages, of_age, tolerance)? };
             shown(&judged, &made)?;
             let passed = judged.verdict == Verdict::Pass;
             stages.push(judged);
-            if passed || !self.confirm {
+            (state.judged, state.done) = (state.judged + 1, 0);
+            if passed || !self.confirm || state.judged == state.all.len() {
                 break;
             }
+            kept.store_stages(&state)?;
         }
+        kept.remove();
         Ok(TrialOutcome { plan: session.plan(&**technique), stages })
+    }
+}
+
+impl Trial {
+    /// Forgets what is kept of the trial.
+    pub(super) fn forget(&self, session: &Session, technique: &Arc<dyn Technique>) -> Result<()> {
+        KeptTrial::open(&Running::new(self, session, technique)?)?.remove();
+        Ok(())
+    }
+
+    /// What the trial is going to cost, from its pilot; nothing is judged, and no reference made.
+    ///
+    /// # Errors
+    /// As [`Trial::run`].
+    pub fn plan(&self, session: &Session, technique: &Arc<dyn Technique>) -> Result<TrialPlan> {
+        let running = Running::new(self, session, technique)?;
+        let kept = KeptTrial::open(&running)?;
+        let (found, a_frame) = running.pilots(&kept)?;
+        let stages = match kept.stages()? {
+            Some(stages) => stages,
+            None => {
+                let all = running.stages(&found, self.seconds / a_frame)?;
+                Stages { all, judged: 0, done: 0, sums: Vec::new() }
+            }
+        };
+        let (seeds, counts) = &stages.all[stages.judged];
+        let ages = &running.ages;
+        let left = counts.frames(ages) - counts.up_to(stages.done).frames(ages);
+        Ok(TrialPlan {
+            ages: ages.clone(),
+            restarts: counts.0.clone(),
+            done: stages.done,
+            stage: if *seeds == SeedUse::SecondStage { 2 } else { 1 },
+            seconds: left as f64 * a_frame,
+        })
     }
 }
 
@@ -215,7 +279,34 @@ struct Running<'a> {
     against: Arc<dyn Technique>,
 }
 
-impl Running<'_> {
+impl<'a> Running<'a> {
+    fn new(
+        trial: &'a Trial,
+        session: &'a Session,
+        technique: &'a Arc<dyn Technique>,
+    ) -> Result<Self> {
+        let ages = trial.ages.of(session, &**technique);
+        let against = trial.against(&**technique)?;
+        let running = Self { session, technique, trial, ages, against };
+        running.refuse()?;
+        Ok(running)
+    }
+
+    /// The kept pilot, or a short one and, where there is time, a long one; with the seconds that a
+    /// frame took.
+    fn pilots(&self, kept: &KeptTrial<'_>) -> Result<(Vec<Restarts>, f64)> {
+        if let Some(pilot) = kept.pilot()? {
+            return Ok(pilot);
+        }
+        let (mut found, mut a_frame) = self.pilot(PILOT)?;
+        let length = self.long_pilot(a_frame);
+        if length >= 2 * PILOT {
+            (found, a_frame) = self.pilot(length)?;
+        }
+        kept.store_pilot(&found, a_frame)?;
+        Ok((found, a_frame))
+    }
+
     /// Refuses what has no answer.
     fn refuse(&self) -> Result<()> {
         let Trial { delta, restarts, .. } = *self.trial;
@@ -269,12 +360,7 @@ impl Running<'_> {
     }
 
     /// The stages that time allows, with their seeds and numbers of restarts.
-    fn stages<'r>(
-        &self,
-        pilot: &[Restarts],
-        of_age: impl Fn(usize) -> &'r Reference,
-        frames_left: f64,
-    ) -> Result<Vec<(SeedUse, Counts)>> {
+    fn stages(&self, pilot: &[Restarts], frames_left: f64) -> Result<Vec<(SeedUse, Counts)>> {
         let (trial, ages) = (self.trial, &self.ages[..]);
         let (wanted, counts) = match trial.restarts {
             Some(count) => {
@@ -282,7 +368,8 @@ impl Running<'_> {
                 (all.clone(), all)
             }
             None => {
-                let wanted = needed(pilot, of_age, trial.delta)?.at_most(trial.most);
+                let wanted =
+                    needed(pilot, self.session.shot.size, trial.delta)?.at_most(trial.most);
                 let share = if trial.confirm { 0.2 } else { 1.0 };
                 (wanted.clone(), wanted.within(ages, share * frames_left))
             }
@@ -297,17 +384,16 @@ impl Running<'_> {
     }
 }
 
-/// Restarts after which every part is as certain as [`RESTART_ERROR`] demands.
-fn needed<'a>(
-    pilot: &[Restarts],
-    of_age: impl Fn(usize) -> &'a Reference,
-    delta: f64,
-) -> Result<Counts> {
+/// Restarts after which every part is as certain as [`RESTART_ERROR`] demands. The pilot's own
+/// means say what the margins are shares of, so that this can be asked before there is a reference.
+fn needed(pilot: &[Restarts], [width, height]: [u32; 2], delta: f64) -> Result<Counts> {
     let tolerance = Tolerance::of(delta);
     let mut wanted = Vec::new();
-    for (at, restarts) in pilot.iter().enumerate() {
+    for restarts in pilot {
+        let mean = restarts.mean_picture();
+        let truth = stats::Truth::exact(width as usize, height as usize, mean)?;
         let mut most: f64 = 0.0;
-        for part in restarts.parts(&bias::exact(of_age(at))?, &tolerance)? {
+        for part in restarts.parts(&truth, &tolerance)? {
             let error = part.test.standard_error / (RESTART_ERROR * part.delta * part.scale);
             // A black part has no error and no scale.
             if error.is_finite() {

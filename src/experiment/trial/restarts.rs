@@ -1,11 +1,14 @@
 //! Independent restarts of a technique, looked at at every age of a trial.
 
+use std::time::Instant;
+
 use rayon::prelude::*;
 
 use super::Running;
 use super::counts::Counts;
 use crate::Result;
 use crate::experiment::bias;
+use crate::experiment::kept::STORE_EVERY;
 use crate::experiment::seeds::{SeedUse, seed};
 use crate::frame::FrameLoop;
 use crate::picture::Picture;
@@ -19,17 +22,30 @@ const PIXELS_APART: usize = 1 << 15;
 const WAITING: usize = 1 << 26;
 
 impl Running<'_> {
-    /// Renders restarts and looks at them at every age that they reach. They are counted in the
-    /// order of their numbers, so that sums are the same for any number of threads.
+    /// Renders restarts and looks at them at every age that they reach.
     pub(super) fn restarts(&self, seeds: SeedUse, counts: &Counts) -> Result<Vec<Restarts>> {
+        self.more_restarts(seeds, counts, 0, Vec::new(), |_, _| Ok(()))
+    }
+
+    /// Goes on behind the first `next` restarts, whose sums are `found`. Restarts are counted in
+    /// the order of their numbers, so that sums are the same for any number of threads and
+    /// interruptions. `save` gets sums and their number now and then, and before an error is given.
+    pub(super) fn more_restarts(
+        &self,
+        seeds: SeedUse,
+        counts: &Counts,
+        mut next: u32,
+        mut found: Vec<Restarts>,
+        mut save: impl FnMut(u32, &[Restarts]) -> Result<()>,
+    ) -> Result<Vec<Restarts>> {
         let Self { session, technique, trial, ages, .. } = self;
         let total = counts.0[0];
-        let mut found = Vec::new();
-        for _ in ages {
+        while found.len() < ages.len() {
             found.push(bias::restarts(session.shot.size)?);
         }
         let progress = session.host().begin("restarts", u64::from(total));
         progress.say(&technique.spec());
+        progress.set(u64::from(next), u64::from(total));
 
         // A loop a thread for small pictures, and one for all threads else.
         let pixels = session.shot.pixels();
@@ -42,7 +58,7 @@ impl Running<'_> {
         let waiting = loops.len() * ages.len() * pixels * size_of::<glam::Vec3>();
         let each = if loops.len() == 1 { 1 } else { (WAITING / waiting).clamp(1, 8) };
 
-        let mut next = 0;
+        let mut saved = Instant::now();
         let stride = loops.len();
         while next < total {
             let batch = next..total.min(next + (each * stride) as u32);
@@ -59,7 +75,14 @@ impl Running<'_> {
                     })
                     .collect()
                 })
-                .collect::<Result<Vec<Vec<_>>>>()?;
+                .collect::<Result<Vec<Vec<_>>>>();
+            let rendered = match rendered {
+                Ok(rendered) => rendered,
+                Err(error) => {
+                    save(next, &found)?;
+                    return Err(error);
+                }
+            };
             for index in 0..batch.len() {
                 let pictures = &rendered[index % stride][index / stride];
                 for (restarts, picture) in found.iter_mut().zip(pictures) {
@@ -68,6 +91,10 @@ impl Running<'_> {
                 progress.step();
             }
             next = batch.end;
+            if saved.elapsed() > STORE_EVERY {
+                save(next, &found)?;
+                saved = Instant::now();
+            }
         }
         let bad: u64 = found.iter().map(Restarts::not_finite).sum();
         if bad > 0 {

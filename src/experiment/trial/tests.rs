@@ -7,10 +7,11 @@ use glam::Vec3;
 use super::counts::FEWEST;
 use super::*;
 use crate::experiment::moving::{Slide, only};
-use crate::experiment::{Session, SessionSettings};
+use crate::experiment::{Session, SessionSettings, bias};
 use crate::pass::{Band, FrameInputs};
 use crate::picture::Picture;
 use crate::plan::{Plan, Shot};
+use crate::report::Reference;
 use crate::stats::Place;
 use crate::techniques::Moving;
 
@@ -71,9 +72,7 @@ fn one_bad_age_fails_the_trial_and_is_named_the_worst() {
 
 #[test]
 fn the_pilot_asks_for_more_restarts_where_less_is_known() {
-    let reference = reference();
-    let ask =
-        |delta: f64| needed(&[sample(PILOT, 50_000, 1.0)], |_| &reference, delta).unwrap().0[0];
+    let ask = |delta: f64| needed(&[sample(PILOT, 50_000, 1.0)], SIZE, delta).unwrap().0[0];
     // A tile varies by 7.2 % a restart: (7.2 / (0.12 · 2))² = 900, the largest of five estimates
     // from eight restarts.
     assert!((500..4000).contains(&ask(0.01)), "{}", ask(0.01));
