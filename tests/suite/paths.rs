@@ -315,7 +315,8 @@ fn merged_against_traced(bug: fn(&mut Shifted<PathSample, Vec3>), family: Family
                 let seed = path_seed(run, pixel as u32, 0, 0);
                 drawn(world, &all[pixel], seed, random)
             };
-            let there = (at + 1) % all.len();
+            // Far enough away that densities differ.
+            let there = (at + 29) % all.len();
             let (own, other) = (draw(at, &mut random), draw(there, &mut random));
             let input = |finished: Finished<PathSample, PrimarySample>, domain| {
                 let target = finished.sample.map_or(0.0, |sample| sample.target());

@@ -11,9 +11,9 @@
 //! | ℓᵢ | the lobe that vᵢ scattered by |
 //! | p(ω, ℓ) | joint density of lobe and direction per solid angle |
 //!
-//! A path's first connectable pair decides x_r: vertices far enough apart, both rough ([`Connects`]).
-//! It is found from the path's own vertices and lobes alone: a path that ends with a light sample
-//! at v_n knows nothing of the direction that the walk takes from there afterwards.
+//! A path's first connectable pair decides x_r: vertices far enough apart, both rough
+//! ([`Connects`]). It is found from the path's own vertices and lobes alone: a path that ends with
+//! a light sample at v_n knows nothing of the direction that the walk takes from there afterwards.
 //!
 //! Papers: Lin et al. (2022), *Generalized Resampled Importance Sampling*; its numbering has x₁ for
 //! our v₀.
@@ -81,12 +81,12 @@ pub struct Reconnection {
     pub anchor: Anchor,
     /// Unit direction from x_r onward; where x_r is the end, from v_n to it.
     pub direction: Vec3,
-    /// Where r < n: Π f/p̄ of v_{r+1} … v_n, times the light and its ω. Where r = n: the light alone,
-    /// since ω depends on what comes before x_r. Where r = n + 1: the light towards v_n, of no use
-    /// elsewhere.
+    /// Where r < n: Π f/p̄ of v_{r+1} … v_n, times the light and its ω. Where r = n: the light
+    /// alone, since ω depends on what comes before x_r. Where r = n + 1: the light towards v_n, of
+    /// no use elsewhere.
     pub radiance: Vec3,
-    /// The path's part of \|∂T\|: p(ω_{r−1}, ℓ_{r−1}) g p(ω_r, ℓ_r), with g = \|cos\|/d² at x_r by its
-    /// geometric normal. Without the last factor where the light at v_r is sampled or x_r is an
+    /// The path's part of \|∂T\|: p(ω_{r−1}, ℓ_{r−1}) g p(ω_r, ℓ_r), with g = \|cos\|/d² at x_r by
+    /// its geometric normal. Without the last factor where the light at v_r is sampled or x_r is an
     /// emitter; p(ω, ℓ) alone for a sky; for a point on a light the density of light sampling, in
     /// the light's measure.
     pub density: f32,

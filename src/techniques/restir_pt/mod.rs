@@ -216,6 +216,7 @@ impl Technique for RestirPt {
         plan.skip_coverage();
         if shot.depth < 2 || facts.light_count() == 0 {
             let because = if shot.depth < 2 { "the depth is 1" } else { "no light emits anything" };
+            plan.skip("light sampling", because);
             plan.skip("paths and reservoirs", because);
             return plan.finish(Claim::Unbiased);
         }
