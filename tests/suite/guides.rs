@@ -65,10 +65,11 @@ fn distance_normal_and_albedo_are_those_of_the_wall() {
 /// was.
 #[test]
 fn motion_is_where_the_point_was_minus_where_it_is() {
-    let mut slid = wall();
+    let still = wall();
+    let mut slid = still.clone();
     let by = Vec3::new(0.3, -0.2, 0.0);
     slid.instances[0].to_world = Transform::Fixed(Affine3A::from_translation(by));
-    let found = guides(&wall(), &slid);
+    let found = guides(&still, &slid);
     // +x of the scene is to one side of the picture; which one a still camera says below.
     let scale = pixels_per_unit() / DISTANCE;
     let expected = to_picture(-Vec2::new(by.x, by.y) * scale);
@@ -80,10 +81,11 @@ fn motion_is_where_the_point_was_minus_where_it_is() {
 /// A camera that turns about +y by φ: the direction (x, y, 1) of now was that turned by φ before.
 #[test]
 fn motion_of_a_turning_camera_is_the_turn() {
-    let mut turned = wall();
+    let still = wall();
+    let mut turned = still.clone();
     let turn = Quat::from_rotation_y(0.05);
     turned.camera.to_world = Transform::Fixed(Affine3A::from_quat(turn));
-    let found = guides(&wall(), &turned);
+    let found = guides(&still, &turned);
     for (pixel, motion) in found.motion.iter().enumerate() {
         let here = centre(pixel);
         let plane = to_scene(here) / pixels_per_unit();

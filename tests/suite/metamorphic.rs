@@ -193,7 +193,7 @@ fn swapping_red_and_blue_swaps_the_channels() {
             assert!(bits(&original) != bits(&swapped), "the room has no colours");
             // A sample is chosen by its luminance, which the swap changes: such pictures agree in
             // the mean only (`oracles`).
-            if !["ris", "restir-di"].contains(&entry.name) {
+            if !["ris", "restir-di", "restir-pt"].contains(&entry.name) {
                 let back: Vec<[u32; 3]> =
                     bits(&swapped).into_iter().map(|[r, g, b]| [b, g, r]).collect();
                 assert!(bits(&original) == back, "{}", entry.name);
@@ -225,7 +225,8 @@ fn a_longer_path_only_adds_light() {
     // negative.
     let stage = Stage::new(full_room()).unwrap();
     for shot in shots() {
-        for entry in REGISTRY {
+        // Where one path of all lengths is chosen, a longer one may take a shorter one's place.
+        for entry in REGISTRY.iter().filter(|entry| entry.name != "restir-pt") {
             let mut last = picture(&stage, entry.name, Shot { depth: 1, ..shot });
             assert!(last.pixels.iter().all(|p| *p == Vec3::ZERO));
             for depth in 2..8 {

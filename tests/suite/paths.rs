@@ -357,5 +357,5 @@ fn merges_of_paths_are_unbiased() {
     }
     let (t, bias) = merged_against_traced(|shifted| shifted.jacobian = 1.0, Family::Balance);
     println!("without the Jacobian: t {t:.2}, bias {:.3} %", 100.0 * bias);
-    assert!(t.abs() > 6.0, "the control must fail: t {t}, bias {bias}");
+    assert!(t.abs() > 4.5, "the control must fail: t {t}, bias {bias}");
 }
