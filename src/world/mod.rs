@@ -44,6 +44,7 @@ pub struct World {
     /// Whether camera rays pass the back of any shape.
     pub has_one_sided: bool,
     /// Whether the camera alone may have changed since the world that this one was made from.
+    #[cfg_attr(not(feature = "gpu"), expect(dead_code, reason = "asked by the second backend"))]
     pub(crate) only_camera: bool,
     emitters: OnceLock<(Arc<Emitters>, bool)>,
     built: Built,

@@ -265,9 +265,11 @@ fn assert_mean_with(stage: &Stage, spec: &str, shot: Shot, c: f64, truth: f64) {
         100.0 * result.test.difference / truth,
         50.0 * (result.interval.1 - result.interval.0) / truth,
     );
-    if c < 1e-4 {
-        // No noise but that of rounding, of whose distribution nothing is known.
-        assert!(result.test.difference.abs() < 1e-5 * truth, "{spec}, truth {truth}: {result:?}");
+    if c < 2e-3 {
+        // No noise but that of rounding, of whose distribution nothing is known; where paths are
+        // connected, of directions between points.
+        let most = if c < 1e-4 { 1e-5 } else { 5e-5 };
+        assert!(result.test.difference.abs() < most * truth, "{spec}, truth {truth}: {result:?}");
         return;
     }
     assert_eq!(result.verdict, Verdict::Pass, "{spec}, truth {truth}: {result:?}");

@@ -2,18 +2,19 @@
 //!
 //! | here | meaning |
 //! |---|---|
-//! | v₀ … v_n | the vertices that scatter; v₀ is the primary hit, n is [`PathSample::last`] |
-//! | end | a light that v_n sampled, an emitter or a sky that its direction met |
+//! | v₀ … `v_n` | the vertices that scatter; v₀ is the primary hit, n is [`PathSample::last`] |
+//! | end | a light that `v_n` sampled, an emitter or a sky that its direction met |
 //! | F | Π f/p̄ · L ω: the integrand in primary sample space, with p̄ the density of the direction over all lobes and ω the share of the end's technique; roulette is no part of it |
 //! | p̂ | luminance of F |
 //! | W | 1/density of the numbers: 1 for a fresh path ([`crate::resampling::PrimarySample`]) |
-//! | x_r | the reconnection vertex: what a shift keeps of the path from there on; v_r, or the end |
+//! | `x_r` | the reconnection vertex: what a shift keeps of the path from there on; `v_r`, or the end |
 //! | ℓᵢ | the lobe that vᵢ scattered by |
 //! | p(ω, ℓ) | joint density of lobe and direction per solid angle |
 //!
-//! A path's first connectable pair decides x_r: vertices far enough apart, both rough
+//! A path's first connectable pair decides `x_r`: vertices far enough apart, both rough
 //! ([`Connects`]). It is found from the path's own vertices and lobes alone: a path that ends with
-//! a light sample at v_n knows nothing of the direction that the walk takes from there afterwards.
+//! a light sample at `v_n` knows nothing of the direction that the walk takes from there
+//! afterwards.
 //!
 //! Papers: Lin et al. (2022), *Generalized Resampled Importance Sampling*; its numbering has x₁ for
 //! our v₀.
@@ -55,7 +56,7 @@ pub enum Ending {
     },
 }
 
-/// What a shift keeps at x_r.
+/// What a shift keeps at `x_r`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Anchor {
     /// The surface at a hit (its t is of no use elsewhere, and 0): a vertex that scatters, or an
@@ -75,22 +76,22 @@ pub enum Anchor {
 pub struct Reconnection {
     /// r ≥ 1; r = n + 1 is the end.
     pub vertex: u8,
-    /// ℓ_{r−1} and ℓ_r.
+    /// `ℓ_{r−1}` and `ℓ_r`.
     pub lobes: [u8; 2],
     /// What is kept.
     pub anchor: Anchor,
-    /// Unit direction from x_r onward; where x_r is the end, from v_n to it.
+    /// Unit direction from `x_r` onward; where `x_r` is the end, from `v_n` to it.
     pub direction: Vec3,
-    /// Where r < n: Π f/p̄ of v_{r+1} … v_n, times the light and its ω. Where r = n: the light
-    /// alone, since ω depends on what comes before x_r. Where r = n + 1: the light towards v_n, of
-    /// no use elsewhere.
+    /// Where r < n: Π f/p̄ of `v_{r+1}` … `v_n`, times the light and its ω. Where r = n: the light
+    /// alone, since ω depends on what comes before `x_r`. Where r = n + 1: the light towards `v_n`,
+    /// of no use elsewhere.
     pub radiance: Vec3,
-    /// The path's part of \|∂T\|: p(ω_{r−1}, ℓ_{r−1}) g p(ω_r, ℓ_r), with g = \|cos\|/d² at x_r by
-    /// its geometric normal. Without the last factor where the light at v_r is sampled or x_r is an
-    /// emitter; p(ω, ℓ) alone for a sky; for a point on a light the density of light sampling, in
-    /// the light's measure.
+    /// The path's part of \|∂T\|: p(`ω_{r−1}`, `ℓ_{r−1}`) g p(`ω_r`, `ℓ_r`), with g = \|cos\|/d² at
+    /// `x_r` by its geometric normal. Without the last factor where the light at `v_r` is sampled
+    /// or `x_r` is an emitter; p(ω, ℓ) alone for a sky; for a point on a light the density of light
+    /// sampling, in the light's measure.
     pub density: f32,
-    /// p ℓ of the end at v_n per solid angle, where r = n; else 0.
+    /// p ℓ of the end at `v_n` per solid angle, where r = n; else 0.
     pub light_density: f32,
 }
 

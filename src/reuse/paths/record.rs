@@ -18,7 +18,7 @@ use crate::resampling::{ContributionWeight, Finished, PrimarySample};
 /// | 1–3 | F |
 /// | 4–5 | seed |
 /// | 6 | n, r (0: none), confidence, age, 8 bits each |
-/// | 7 | ending 2, delta light 1, anchor 2, ℓ_{r−1} 3, ℓ_r 3 bits |
+/// | 7 | ending 2, delta light 1, anchor 2, `ℓ_{r−1}` 3, `ℓ_r` 3 bits |
 /// | 8–11 | anchor: instance, primitive, u, v; or light, u, v |
 /// | 12–13 | direction, octahedral |
 /// | 14–16 | radiance |

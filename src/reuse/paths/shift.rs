@@ -1,5 +1,5 @@
-//! The shift of paths: replay the numbers up to the vertex before x_r, connect to it, and keep the
-//! rest (hybrid shift; Lin et al. 2022, section 7).
+//! The shift of paths: replay the numbers up to the vertex before `x_r`, connect to it, and keep
+//! the rest (hybrid shift; Lin et al. 2022, section 7).
 
 use glam::Vec3;
 
@@ -34,7 +34,7 @@ pub struct PathReceiver<'a> {
 pub enum Failure {
     /// The replayed numbers scatter nothing, or at a black surface.
     Replay,
-    /// A pair before x_r may be connected here.
+    /// A pair before `x_r` may be connected here.
     Earlier,
     /// The replayed path leaves the scene, or ends where the other went on.
     Length,
@@ -62,7 +62,7 @@ impl Failure {
 /// The shift between the receivers of one frame, and of it and the previous one.
 ///
 /// \|∂T\| is the ratio of the [densities](Reconnection::density) of both paths: what the numbers of
-/// x_r's two directions are worth in the measure of x_r, the same measure for both.
+/// `x_r`'s two directions are worth in the measure of `x_r`, the same measure for both.
 #[derive(Debug)]
 pub struct PathShift<'a, F> {
     /// Which hits count now; the previous frame's world brings its own.
@@ -148,18 +148,18 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         match kept.anchor {
             Anchor::Point(point) => {
                 let point = self.point_there(point, from, to)?;
-                self.to_light_point(&steps, &replay, kept, point)
+                self.connect_light_point(&steps, &replay, kept, point)
             }
             Anchor::Sky { light } => {
                 let light = self.light_there(light, from, to)?;
-                self.to_sky(&steps, &replay, kept, light)
+                self.connect_sky(&steps, &replay, kept, light)
             }
             Anchor::Surface(hit) => {
                 let hit = self.hit_there(&hit, from, to)?;
                 if u32::from(kept.vertex) > last {
-                    self.to_emitter(&steps, &replay, kept, &hit)
+                    self.connect_emitter(&steps, &replay, kept, &hit)
                 } else {
-                    self.to_surface(&steps, &replay, sample, kept, &hit)
+                    self.connect_surface(&steps, &replay, sample, kept, &hit)
                 }
             }
         }
@@ -256,8 +256,8 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         Ok(Connected { integrand, reconnection: None, jacobian: 1.0 })
     }
 
-    /// All lobes at the vertex before x_r towards `direction`, and the joint density of ℓ_{r−1}.
-    /// Fails where that lobe would connect an earlier pair, or not this one.
+    /// All lobes at the vertex before `x_r` towards `direction`, and the joint density of
+    /// `ℓ_{r−1}`. Fails where that lobe would connect an earlier pair, or not this one.
     #[inline]
     fn leave(
         &self,
@@ -293,7 +293,7 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         Ok((way / way.length(), geometry))
     }
 
-    /// Fails where something stands between the vertex before x_r and a point: one ray, off both
+    /// Fails where something stands between the vertex before `x_r` and a point: one ray, off both
     /// surfaces.
     #[inline]
     fn look<G: HitFilter>(
@@ -311,8 +311,8 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         Ok(())
     }
 
-    /// x_r is a vertex that scatters.
-    fn to_surface<G: HitFilter>(
+    /// `x_r` is a vertex that scatters.
+    fn connect_surface<G: HitFilter>(
         &mut self,
         steps: &Steps<'_, { sampled::ONE }, G>,
         replay: &Replay,
@@ -362,8 +362,8 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         })
     }
 
-    /// x_r is the emitter that the last direction met.
-    fn to_emitter<G: HitFilter>(
+    /// `x_r` is the emitter that the last direction met.
+    fn connect_emitter<G: HitFilter>(
         &mut self,
         steps: &Steps<'_, { sampled::ONE }, G>,
         replay: &Replay,
@@ -405,8 +405,8 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         })
     }
 
-    /// x_r is a direction of a sky.
-    fn to_sky<G: HitFilter>(
+    /// `x_r` is a direction of a sky.
+    fn connect_sky<G: HitFilter>(
         &mut self,
         steps: &Steps<'_, { sampled::ONE }, G>,
         replay: &Replay,
@@ -435,8 +435,8 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         })
     }
 
-    /// x_r is a point on a light that v_n sampled.
-    fn to_light_point<G: HitFilter>(
+    /// `x_r` is a point on a light that `v_n` sampled.
+    fn connect_light_point<G: HitFilter>(
         &mut self,
         steps: &Steps<'_, { sampled::ONE }, G>,
         replay: &Replay,
@@ -545,7 +545,7 @@ impl<'a, F: HitFilter> ShiftMap for PathShift<'a, F> {
     type Sample = PathSample;
     type Domain = PathReceiver<'a>;
     type Integrand = Vec3;
-    /// n, kind of end, r and the lobes around x_r.
+    /// n, kind of end, r and the lobes around `x_r`.
     type Stratum = (u8, std::mem::Discriminant<Ending>, Option<(u8, [u8; 2])>);
 
     fn shift(

@@ -94,7 +94,7 @@ impl<'a, R: RandomSource> Tree<'a, R> {
         self.reservoir.stream(sample, weight, (), self.random);
     }
 
-    /// The reconnection of a path that goes on behind x_r, and ends with `light` of `density`.
+    /// The reconnection of a path that goes on behind `x_r`, and ends with `light` of `density`.
     fn behind(
         &self,
         number: u32,
