@@ -95,6 +95,15 @@ fn faults(
         if !["", "expression", "statement"].contains(&field("form")) {
             say(format!("the form `{}`", field("form")));
         }
+        let whole = |text: &str| {
+            ["()", "[]", "{}"].iter().all(|pair| {
+                let [open, close] = [0, 1].map(|at| text.matches(&pair[at..=at]).count());
+                open == close
+            })
+        };
+        if !field("file").ends_with(".wgsl") && !whole(field("pattern")) {
+            say("its pattern ends inside a bracket".to_string());
+        }
         if field("pattern") == field("replacement") {
             say("its replacement is its pattern".to_string());
         }
@@ -167,6 +176,10 @@ fn a_mutant_that_fits_no_more_is_found() {
     assert_eq!(entry("about = '''\nit''s'''"), Vec::<String>::new());
     assert_eq!(entry("pattern = 'b - c'"), ["a: its pattern is 2 times in src/a.rs, not once"]);
     assert_eq!(entry("pattern = 'b * c'"), ["a: its pattern is 0 times in src/a.rs, not once"]);
+    assert_eq!(
+        entry("pattern = '(b + c'").first().unwrap(),
+        "a: its pattern ends inside a bracket"
+    );
     assert_eq!(entry("file = 'src/b.rs'"), ["a: its pattern is 0 times in src/b.rs, not once"]);
     assert_eq!(entry("replacement = 'b + c'"), ["a: its replacement is its pattern"]);
     assert_eq!(entry("before = 'let d = '").len(), 1);
