@@ -37,7 +37,7 @@ impl Folder {
     }
 }
 
-/// Student's 97.5 % quantiles for so many restarts (SciPy 1.17, `scipy.stats.t.ppf(0.975, n - 1)`).
+/// Student's 97.5 % quantiles for so many restarts: `scipy.stats.t.ppf(0.975, n - 1)`, 1.17.
 /// The normal one is 1.96.
 fn student(restarts: usize) -> f64 {
     match restarts {

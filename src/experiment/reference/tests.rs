@@ -130,8 +130,10 @@ fn nudged(to_world: &mut Transform) {
     *to_world = Transform::Fixed(Affine3A::from_translation(1e-3 * Vec3::X) * to_world.fixed());
 }
 
+type Change = fn(&mut Scene);
+
 /// One change each, and what it changes.
-const CHANGES: [(&str, fn(&mut Scene)); 20] = [
+const CHANGES: [(&str, Change); 20] = [
     ("where the camera is", |s| nudged(&mut s.camera.to_world)),
     ("the camera's angle", |s| s.camera.fov = s.camera.fov.next_up()),
     ("a lamp's emission", |s| {
