@@ -7,7 +7,8 @@ use std::sync::{Arc, Mutex};
 
 use afterimage::experiment::{
     Ages, Compared, Comparison, Host, Keep, Ladder, LadderOutcome, LadderRow, LadderScenes,
-    PlannedRung, ReferenceSettings, Session, SessionSettings, Spending, Trial, technique,
+    PlannedRung, ReferencePool, ReferenceSettings, Session, SessionSettings, Spending, Trial,
+    technique,
 };
 use afterimage::report::{Results, Row};
 use afterimage::techniques::{Entry, REGISTRY, find};
@@ -226,6 +227,36 @@ fn a_ladder_that_is_stopped_between_two_stages_looks_as_often() {
     let expected = climb(&place, &few("whole"));
     assert!(expected.rows.iter().all(|row| row.stage == 2 && row.restarts == [80, 80]));
     assert!(stopped_again_and_again(&place, &few("again"), &expected) > 2);
+    let _ = fs::remove_dir_all(&place.folder);
+}
+
+/// However often a trial is stopped, each of its stages is judged once, after its own restarts.
+#[test]
+fn a_trial_that_is_stopped_looks_once_at_each_stage() {
+    let place = Place::new("looks", [12, 10]);
+    let nee = technique("nee").unwrap();
+    let trial = |name: &str| Trial { restarts: Some(20), ..ladder(&place, name).trial };
+    let mut looks = Vec::new();
+    let mut run = |name: &str| {
+        let mut pool = ReferencePool::default();
+        trial(name).run(&place.session, &nee, &mut pool, |judged, _| {
+            looks.push((judged.stage, judged.ages[0].restarts.count()));
+            Ok(())
+        })
+    };
+    run("whole").unwrap();
+    let mut runs = 0;
+    loop {
+        runs += 1;
+        assert!(runs < 200, "it does not go on");
+        place.fuse.set(110 + 7 * runs);
+        match run("again") {
+            Ok(_) => break,
+            Err(error) => assert!(error.is_interrupted(), "{error}"),
+        }
+    }
+    assert!(runs > 2, "{runs} runs");
+    assert_eq!(looks, [(1, 20), (2, 80)].repeat(2));
     let _ = fs::remove_dir_all(&place.folder);
 }
 
