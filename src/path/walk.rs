@@ -2,7 +2,7 @@
 //!
 //! | step | draws | gives |
 //! |---|---|---|
-//! | [`Vertex::new`] | nothing | a surface that scatters, with the direction back along the path |
+//! | [`Vertex::at`] | nothing | a surface that scatters, with the direction back along the path |
 //! | [`Steps::light`] | light, its place | [`LightSample`]: a light that is seen, weighted against BSDF sampling |
 //! | [`Steps::scatter`] | lobe, direction | a direction; f/p is its factor |
 //! | [`survival`] | – | the chance that Russian roulette leaves |
@@ -36,16 +36,22 @@ pub struct Vertex {
 }
 
 impl Vertex {
-    /// The surface at a hit by a ray along unit `direction`; `None` where it scatters nothing.
+    /// The surface at a hit by a ray along unit `direction`.
     #[inline(always)]
     #[must_use]
+    pub fn at(world: &World, hit: &Hit, point: &HitPoint, direction: Vec3) -> Self {
+        // In place: a surface that is made first and moved here costs a copy a vertex.
+        let mut vertex = Self { surface: world.surface_at(hit, point), outgoing: Vec3::ZERO };
+        vertex.outgoing = vertex.surface.frame.to_local(-direction);
+        vertex
+    }
+
+    /// As [`Vertex::at`]; `None` where the surface scatters nothing.
+    #[inline]
+    #[must_use]
     pub fn new(world: &World, hit: &Hit, point: &HitPoint, direction: Vec3) -> Option<Self> {
-        let surface = world.surface_at(hit, point);
-        if surface.bsdf.is_black() {
-            return None;
-        }
-        let outgoing = surface.frame.to_local(-direction);
-        Some(Self { surface, outgoing })
+        let vertex = Self::at(world, hit, point, direction);
+        (!vertex.surface.bsdf.is_black()).then_some(vertex)
     }
 }
 
@@ -288,7 +294,10 @@ pub fn walk<const LIGHTS: u8, const DIRECT: bool, F: HitFilter>(
     let mut point = world.accel.point(&hit);
     counters.paths += 1;
     for number in 0..limits.depth.saturating_sub(1) {
-        let Some(vertex) = Vertex::new(world, &hit, &point, direction) else { break };
+        let vertex = Vertex::at(world, &hit, &point, direction);
+        if vertex.surface.bsdf.is_black() {
+            break;
+        }
         visitor.vertex(number, &vertex, &hit, &point);
         let counted = DIRECT || number > 0;
         if counted && vertex.surface.bsdf.has_non_delta() && !world.lights.is_empty() {
