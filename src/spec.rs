@@ -56,32 +56,32 @@ pub enum Field<T: 'static> {
 /// `row!(T, "key", number field: 0.0..=1.0, "about")` for numbers, `row!(T, "key", choice field:
 /// Type, "about")` for names.
 macro_rules! row {
-    ($type:ty, $key:literal, number $field:ident: $range:expr, $about:expr) => {
+    ($type:ty, $key:literal, number $($field:ident).+: $range:expr, $about:expr) => {
         $crate::spec::Row {
             key: $key,
             about: $about,
             field: $crate::spec::Field::Number($range, |technique: &mut $type| {
-                &mut technique.$field
+                &mut technique.$($field).+
             }),
         }
     };
-    ($type:ty, $key:literal, choice $field:ident: $choice:ty, $about:expr) => {
+    ($type:ty, $key:literal, choice $($field:ident).+: $choice:ty, $about:expr) => {
         $crate::spec::Row {
             key: $key,
             about: $about,
             field: $crate::spec::Field::Choice(
                 || <$choice>::ALL.iter().map(|value| Choice::name(*value)).collect(),
-                |technique: &$type| technique.$field.place(),
-                |technique: &mut $type, place| technique.$field = <$choice>::ALL[place],
+                |technique: &$type| technique.$($field).+.place(),
+                |technique: &mut $type, place| technique.$($field).+ = <$choice>::ALL[place],
             ),
         }
     };
-    ($type:ty, $key:literal, $field:ident: $range:expr, $about:expr) => {
+    ($type:ty, $key:literal, $($field:ident).+: $range:expr, $about:expr) => {
         $crate::spec::Row {
             key: $key,
             about: $about,
             field: $crate::spec::Field::Integer($range, |technique: &mut $type| {
-                &mut technique.$field
+                &mut technique.$($field).+
             }),
         }
     };

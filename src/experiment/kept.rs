@@ -31,7 +31,7 @@ impl Keep {
     /// In the folder `kept` beside references.
     ///
     /// # Errors
-    /// As [`default_cache_dir`], where `reference` names no folder.
+    /// There is no [`default_cache_dir`], and `reference` names no folder.
     pub fn beside(reference: &ReferenceSettings, fresh: bool) -> Result<Self> {
         let folder = match &reference.cache {
             Some(folder) => folder.clone(),

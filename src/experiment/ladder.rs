@@ -222,10 +222,10 @@ impl Ladder {
         Ok(LadderOutcome { rows, open: Vec::new(), interrupted: false })
     }
 
-    /// What the rungs that are not decided are going to cost, from pilots alone: nothing is judged.
+    /// The cost of each rung that is not decided, estimated by a pilot. Nothing is judged.
     ///
     /// # Errors
-    /// As [`Ladder::run`]; an interruption.
+    /// Those of [`Ladder::run`], and an interruption.
     pub fn plan(
         &self,
         entry: &Entry,
@@ -324,7 +324,7 @@ impl Ladder {
                 Err(error) if error.is_interrupted() => {
                     outcome.interrupted |= task.session.host().stopped();
                     let planned = PlannedRung { cost: cost.clone(), ..task.planned() };
-                    // What is done now is on disk.
+                    // The restarts of this stage are on disk by now.
                     let now = cost.and_then(|_| self.planned(task, &session).ok());
                     outcome.open.push(now.unwrap_or(planned));
                     stopped = Some(error);
@@ -337,7 +337,7 @@ impl Ladder {
         Ok(outcome)
     }
 
-    /// What a rung is going to cost.
+    /// Estimates the cost of a rung.
     fn planned(&self, task: &Task<'_>, session: &Session) -> Result<PlannedRung> {
         let trial = self.rung_trial(task, session, f64::INFINITY);
         Ok(PlannedRung { cost: Some(trial.plan(session, &task.technique)?), ..task.planned() })

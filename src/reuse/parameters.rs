@@ -111,81 +111,82 @@ impl Choice for Family {
     }
 }
 
-/// The rows of the parameters in [`Settings`], for a technique that has fields of the same names.
+/// The rows of the parameters in [`Settings`], for a technique that has fields of the same names,
+/// or a field with the settings, whose name comes second.
 macro_rules! reuse_rows {
-    ($technique:ty) => {
+    ($technique:ty $(, $settings:ident)?) => {
         [
             $crate::spec::row!(
                 $technique,
                 "cap",
-                cap: 0..=250,
+                $($settings.)? cap: 0..=250,
                 "frames of history that count (Bitterli et al. 2020: 20); 0 is no temporal reuse; higher is less noise, slower reaction and more correlation"
             ),
             $crate::spec::row!(
                 $technique,
                 "temporal-mis",
-                choice temporal_mis: $crate::resampling::Family,
+                choice $($settings.)? temporal_mis: $crate::resampling::Family,
                 "weights of the temporal merge"
             ),
             $crate::spec::row!(
                 $technique,
                 "neighbours",
-                neighbours: 0..=$crate::reuse::MAX_NEIGHBOURS as u32,
+                $($settings.)? neighbours: 0..=$crate::reuse::MAX_NEIGHBOURS as u32,
                 "pixels that a round takes samples from; 0 is no spatial reuse; more is less noise for more time"
             ),
             $crate::spec::row!(
                 $technique,
                 "radius",
-                number radius: 1.0..=1000.0,
+                number $($settings.)? radius: 1.0..=1000.0,
                 "how far away they are at most, in pixels; more is less correlation, and more neighbours that do not fit"
             ),
             $crate::spec::row!(
                 $technique,
                 "taps",
-                choice taps: $crate::reuse::Taps,
+                choice $($settings.)? taps: $crate::reuse::Taps,
                 "which they are: each pixel its own, or pixels exchange in pairs by one offset a frame"
             ),
-            $crate::spec::row!($technique, "rounds", rounds: 1..=8, "rounds of spatial reuse"),
+            $crate::spec::row!($technique, "rounds", $($settings.)? rounds: 1..=8, "rounds of spatial reuse"),
             $crate::spec::row!(
                 $technique,
                 "mis",
-                choice mis: $crate::resampling::Family,
+                choice $($settings.)? mis: $crate::resampling::Family,
                 "weights of the spatial merge; constant is biased"
             ),
             $crate::spec::row!(
                 $technique,
                 "spatial",
-                choice spatial: $crate::reuse::SpatialUse,
+                choice $($settings.)? spatial: $crate::reuse::SpatialUse,
                 "what becomes of the spatial result: it is kept as history, or shown only"
             ),
             $crate::spec::row!(
                 $technique,
                 "mature",
-                mature: 0..=250,
+                $($settings.)? mature: 0..=250,
                 "where nothing moves, frames of history from which a pixel takes nothing from its neighbours; 0: every pixel always takes; higher is less noise in young frames, more time and more correlation"
             ),
             $crate::spec::row!(
                 $technique,
                 "mutations",
-                mutations: 0..=64,
+                $($settings.)? mutations: 0..=64,
                 "mutations between temporal and spatial reuse (Sawhney et al. 2024); more is less correlation for more time"
             ),
             $crate::spec::row!(
                 $technique,
                 "decoupled",
-                choice decoupled: bool,
+                choice $($settings.)? decoupled: bool,
                 "shade with all inputs of the last merge instead of the selected one; less noise in colour for a ray a neighbour"
             ),
             $crate::spec::row!(
                 $technique,
                 "boiling",
-                number boiling: 0.0..=1.0,
+                number $($settings.)? boiling: 0.0..=1.0,
                 "strength of a filter that drops bright reservoirs; 0 is off; biased"
             ),
             $crate::spec::row!(
                 $technique,
                 "max-age",
-                max_age: 0..=255,
+                $($settings.)? max_age: 0..=255,
                 "frames after which a sample is dropped; 0 is never; biased"
             ),
         ]

@@ -28,7 +28,7 @@ pub(super) struct Contender {
     /// Steady frames before the first restart and after the last one, where there is a frame time
     /// to keep.
     pub(super) calibrations: [Vec<f64>; 2],
-    /// What each restart measured.
+    /// The measurements of each restart.
     pub(super) samples: Vec<Sample>,
     /// How many of them an interrupted run made.
     pub(super) resumed: u32,
@@ -46,7 +46,7 @@ pub(super) struct Contender {
 /// A restart as it was rendered.
 pub(super) struct Rendered {
     pub(super) sample: Sample,
-    /// What is judged.
+    /// The judged frame, or the mean of all where frames are accumulated.
     pub(super) picture: Picture,
     /// Emission that is seen directly in the judged frame.
     pub(super) emission: Picture,

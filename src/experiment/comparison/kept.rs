@@ -33,13 +33,13 @@ struct Files {
     folder: PathBuf,
 }
 
-/// What is settled before the first restart.
+/// The decisions that are made before the first restart.
 #[derive(Clone, Debug)]
 pub(super) struct Start {
     pub(super) budget: Settled,
     /// Steady frames of each technique before its restarts; none without a frame time to keep.
     pub(super) calibrations: Vec<Vec<f64>>,
-    /// As the pilot found it.
+    /// The pilot found this value.
     pub(super) variance: f64,
     /// A digest of what pictures are compared with.
     pub(super) truth: String,
@@ -194,7 +194,7 @@ impl<'a> KeptRun<'a> {
     /// Removes everything.
     pub(super) fn forget(&self) {
         let Some(Files { folder, .. }) = &self.files else { return };
-        // What cannot be removed is overwritten, or refused for its key.
+        // A file that cannot be removed is overwritten later, or its key does not fit.
         let _ = fs::remove_dir_all(folder);
         if let Some(parent) = folder.parent() {
             // Only where nothing else is kept.

@@ -338,11 +338,11 @@ impl Comparison {
     }
 }
 
-/// What all restarts have in common.
+/// The inputs that all restarts of a comparison share.
 #[derive(Clone, Copy)]
 struct Course<'a> {
     judged: JudgedFrames,
-    /// What pictures are compared with.
+    /// The reference picture.
     truth: &'a Picture,
     guides: &'a Guides,
     kept: &'a KeptRun<'a>,

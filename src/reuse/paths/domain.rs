@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-use super::{Connects, PathReceiver, PathRecord, PathSample, PathShift, Tree};
+use super::{Connects, MOST_SEGMENTS, PathReceiver, PathRecord, PathSample, PathShift, Tree};
 use crate::accel::{Hit, HitFilter};
 use crate::counters::Counters;
 use crate::math::rng::{Purpose, RandomSource};
@@ -34,7 +34,7 @@ impl<F: HitFilter + Sync> Paths<'_, F> {
         let inputs = self.frame;
         let world = inputs.world;
         let chains = inputs.shot.chains();
-        let limits = Limits { depth: inputs.shot.depth, roulette_after };
+        let limits = Limits { depth: inputs.shot.depth.min(MOST_SEGMENTS), roulette_after };
         let steps = Steps::<{ sampled::ONE }, F> { world, filter: self.filter };
         let hits = inputs.read::<PrimaryHit>(Plan::HITS);
         let pixels = band.pixels();

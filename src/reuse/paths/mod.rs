@@ -36,6 +36,9 @@ use crate::accel::Hit;
 use crate::light::LightPoint;
 use crate::math::luminance;
 
+/// Most segments of a path: a record counts its vertices and its end in 8 bits.
+pub const MOST_SEGMENTS: u32 = 256;
+
 /// No lobe: a light sample takes all that are not deltas, and an end has none.
 pub const NO_LOBE: u8 = 7;
 

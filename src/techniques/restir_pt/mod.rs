@@ -19,12 +19,12 @@ use crate::counters::Counters;
 use crate::error::{Error, Result};
 use crate::pass::{Band, FrameInputs};
 use crate::plan::{BufferPlan, Builder, Claim, Plan, SceneFacts, Shot};
-use crate::resampling::{Decoupled, Estimator, Family, Merges, Selected};
+use crate::resampling::{Decoupled, Estimator, Merges, Selected};
 use crate::reuse::parameters::reuse_rows;
 use crate::reuse::passes::{self, Initial, Keys, kernel};
-use crate::reuse::paths::{Connects, PathRecord, Paths};
+use crate::reuse::paths::{Connects, MOST_SEGMENTS, PathRecord, Paths};
 use crate::reuse::policy::InTarget;
-use crate::reuse::{Reuse, Settings, SpatialUse, Taps};
+use crate::reuse::{Reuse, Settings};
 use crate::spec::{self, Choice, Row, row};
 use crate::techniques::{Entry, Technique};
 use crate::world::WithFilter;
@@ -48,7 +48,7 @@ fn rows() -> Vec<Row<RestirPt>> {
         ),
     ];
     // Paths are not mutated.
-    rows.extend(reuse_rows!(RestirPt).into_iter().filter(|row| row.key != "mutations"));
+    rows.extend(reuse_rows!(RestirPt, reuse).into_iter().filter(|row| row.key != "mutations"));
     rows
 }
 
@@ -70,59 +70,14 @@ pub struct RestirPt {
     pub trees: u32,
     /// Scatterings before Russian roulette may end a walk, in [0, 1000].
     pub roulette_after: u32,
-    /// Frames of history that count, in [0, 250]; 0 is no temporal reuse.
-    pub cap: u32,
-    /// Weights of the temporal merge.
-    pub temporal_mis: Family,
-    /// Pixels asked a round, in [0, 8]; 0 is no spatial reuse.
-    pub neighbours: u32,
-    /// How far away they are at most, in pixels, in [1, 1000].
-    pub radius: f32,
-    /// Which they are.
-    pub taps: Taps,
-    /// Rounds of spatial reuse, in [1, 8].
-    pub rounds: u32,
-    /// Weights of the spatial merge.
-    pub mis: Family,
-    /// What becomes of the spatial result.
-    pub spatial: SpatialUse,
-    /// Where nothing moves, frames of history from which a pixel takes nothing from its neighbours,
-    /// in [0, 250]; 0: every pixel always takes.
-    pub mature: u32,
-    /// Whether all inputs of the last merge are shown, not the selected one.
-    pub decoupled: bool,
-    /// Strength in [0, 1] of the boiling filter; 0 is off. Biased.
-    pub boiling: f32,
-    /// Frames after which a sample is dropped, in [0, 255]; 0 is never. Biased.
-    pub max_age: u32,
-    /// Always 0.
-    mutations: u32,
+    /// Of reuse; paths are not mutated, so `mutations` must be 0.
+    pub reuse: Settings,
 }
 
 impl Default for RestirPt {
     /// The unbiased preset.
     fn default() -> Self {
-        let Settings { cap, temporal_mis, neighbours, radius, taps, rounds, .. } =
-            Settings::default();
-        let Settings { mis, spatial, mature, decoupled, boiling, max_age, .. } =
-            Settings::default();
-        Self {
-            trees: 1,
-            roulette_after: 5,
-            cap,
-            temporal_mis,
-            neighbours,
-            radius,
-            taps,
-            rounds,
-            mis,
-            spatial,
-            mature,
-            decoupled,
-            boiling,
-            max_age,
-            mutations: 0,
-        }
+        Self { trees: 1, roulette_after: 5, reuse: Settings::default() }
     }
 }
 
@@ -138,7 +93,13 @@ impl RestirPt {
     /// A usage error that names the parameter and what is allowed, or both sides.
     pub fn validate(&self) -> Result<()> {
         spec::check(&rows(), self)?;
-        if self.decoupled && self.neighbours == 0 {
+        let Settings { decoupled, neighbours, mutations, .. } = self.reuse;
+        if mutations > 0 {
+            return Err(Error::usage(format!(
+                "`mutations` is {mutations}, but paths are not mutated: it must be 0"
+            )));
+        }
+        if decoupled && neighbours == 0 {
             return Err(Error::usage(
                 "`decoupled=true` shades with all inputs of the last spatial merge, but `neighbours` is 0; set it to at least 1",
             ));
@@ -149,27 +110,10 @@ impl RestirPt {
     /// The parameters of the passes of reuse on a scene: without history where its lights or
     /// geometry move.
     fn settings(&self, copies: bool) -> Settings {
-        let Self { cap, temporal_mis, neighbours, radius, taps, rounds, mis, spatial, .. } = *self;
-        let Self { mature, decoupled, boiling, max_age, mutations, .. } = *self;
-        let cap = if copies { cap } else { 0 };
-        Settings {
-            cap,
-            temporal_mis,
-            neighbours,
-            radius,
-            taps,
-            rounds,
-            mis,
-            spatial,
-            mature,
-            decoupled,
-            mutations,
-            boiling,
-            max_age,
-        }
+        Settings { cap: if copies { self.reuse.cap } else { 0 }, ..self.reuse }
     }
 
-    fn claim(&self, settings: &Settings, still: bool) -> Claim {
+    fn claim(&self, settings: &Settings, still: bool, depth: u32) -> Claim {
         let (temporal, spatial) = (settings.cap > 0, settings.neighbours > 0);
         let whole =
             |partition: bool, terms: bool| (!spatial || partition) && (!temporal || still || terms);
@@ -194,6 +138,9 @@ impl RestirPt {
             Claim::Biased(why) => vec![why],
             _ => Vec::new(),
         };
+        if depth > MOST_SEGMENTS {
+            reasons.push(format!("paths of more than {MOST_SEGMENTS} segments are left out"));
+        }
         if settings.boiling > 0.0 {
             reasons.push("the boiling filter drops bright samples".into());
         }
@@ -222,7 +169,7 @@ impl Technique for RestirPt {
         }
         let copies = !(facts.moving_lights || facts.moving_geometry);
         let settings = self.settings(copies);
-        if self.cap > 0 && !copies {
+        if self.reuse.cap > 0 && !copies {
             plan.skip(
                 "temporal reuse",
                 "lights or geometry move, and what lies behind a reconnection is not traced again",
@@ -233,7 +180,7 @@ impl Technique for RestirPt {
         let walks = u64::from(self.trees) * scatterings;
         let initial = Initial { rays: [walks, walks, 0], shift_bounces: scatterings };
         passes::add::<PathRecord, InTarget>(&mut plan, &settings, initial);
-        plan.finish(self.claim(&settings, facts.is_still(shot)))
+        plan.finish(self.claim(&settings, facts.is_still(shot), shot.depth))
     }
 
     fn run(&self, kernel: u32, inputs: &FrameInputs<'_>, band: &mut Band<'_>) -> Counters {
@@ -265,13 +212,64 @@ impl WithFilter for Call<'_, '_, '_> {
         let bits = inputs.plan.constant(DISTANCE).expect("the plan fixes what its kernels ask for");
         let connects = Connects { distance: f32::from_bits(bits), roughness: Connects::ROUGHNESS };
         let paths = Paths { frame: inputs, filter: &filter, connects };
-        let reuse = Reuse::new(&paths, InTarget, technique.settings(true));
+        let reuse = Reuse::new(&paths, InTarget, technique.reuse);
         match kernel {
             kernel::INITIAL => paths.initial(technique.trees, technique.roulette_after, band),
             kernel::TEMPORAL => reuse.temporal(band),
             kernel::BOILING => reuse.boiling(band),
             kernel::SHADE => reuse.shade(band),
             round => reuse.spatial(round - kernel::SPATIAL, band),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::frame::{FrameLoop, Stage};
+    use crate::plan::Filter;
+    use crate::techniques::parse;
+
+    fn stage() -> Stage {
+        Stage::new(crate::scene::generate("many-lights:3").unwrap()).unwrap()
+    }
+
+    fn shot(depth: u32) -> Shot {
+        Shot { size: [2, 2], depth, filter: Filter::Point, run: 1, effort: 1.0, fps: 30 }
+    }
+
+    #[test]
+    fn what_cannot_be_is_refused_by_the_loop() {
+        let (d, reuse) = (RestirPt::default(), Settings::default());
+        for (technique, text) in [
+            (RestirPt { trees: 0, ..d }, "`trees` is `0`, but must be an integer in [1, 1024]"),
+            (RestirPt { reuse: Settings { rounds: 9, ..reuse }, ..d }, "in [1, 8]"),
+            (RestirPt { reuse: Settings { mutations: 1, ..reuse }, ..d }, "it must be 0"),
+            (
+                RestirPt { reuse: Settings { decoupled: true, neighbours: 0, ..reuse }, ..d },
+                "but `neighbours` is 0",
+            ),
+        ] {
+            let error = FrameLoop::new(Arc::new(technique), &stage(), shot(2)).unwrap_err();
+            assert!(error.to_string().contains(text), "{technique:?}: {error}");
+        }
+        assert!(parse("restir-pt:mutations=1").is_err());
+        let spec = "restir-pt:trees=3,cap=4,mis=balance";
+        assert_eq!(parse(spec).unwrap().spec(), spec);
+    }
+
+    #[test]
+    fn paths_that_no_record_holds_are_said_to_be_left_out() {
+        let stage = stage();
+        let claim = |depth| RestirPt::default().plan(stage.facts(), &shot(depth)).claim;
+        assert_eq!(claim(256), Claim::Unbiased);
+        assert!(matches!(claim(257), Claim::Biased(why) if why.contains("256 segments")));
+        let technique = Arc::new(RestirPt::default());
+        let mut frames = FrameLoop::new(technique, &stage, shot(1000)).unwrap();
+        for _ in 0..2 {
+            assert_eq!(frames.render().unwrap().counters.non_finite, 0);
         }
     }
 }
