@@ -184,3 +184,37 @@ impl SceneFacts {
         ]
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{Curve, Geometry, Interpolation, Material, Shape, Track, Transform};
+
+    /// A lamp that is carried is a moving light and moving geometry, another thing that is carried
+    /// only the latter.
+    #[test]
+    fn lamps_that_are_carried_move() {
+        for lit in [false, true] {
+            let mut scene = Scene::new("carried");
+            let reflectance = Color::Constant(glam::Vec3::ONE);
+            let white = scene.add_material(Material::Diffuse { reflectance });
+            let ball = Geometry::Sphere { center: glam::Vec3::ZERO, radius: 1.0 };
+            let shape = Shape::new(ball, white);
+            scene.add_shape(if lit { shape.emitting(glam::Vec3::ONE) } else { shape });
+            let facts = SceneFacts::new(&scene, LightCounts::default());
+            assert_eq!((facts.moving_lights, facts.moving_geometry), (false, false));
+            let still = glam::Vec3::ZERO;
+            let track = Track::Trs {
+                translation: Curve {
+                    keys: vec![(0.0, still), (1.0, glam::Vec3::X)],
+                    interpolation: Interpolation::Linear,
+                },
+                rotation: Curve::constant(glam::Quat::IDENTITY),
+                scale: Curve::constant(glam::Vec3::ONE),
+            };
+            scene.instances[0].to_world = Transform::Chain(vec![track]);
+            let facts = SceneFacts::new(&scene, LightCounts::default());
+            assert_eq!((facts.moving_lights, facts.moving_geometry), (lit, true));
+        }
+    }
+}

@@ -172,6 +172,8 @@ pub(crate) struct Initial {
     pub(crate) rays: [u64; 3],
     /// Most bounce rays of a shift; a shadow ray comes on top where p̂ contains visibility.
     pub(crate) shift_bounces: u64,
+    /// More shadow rays of a shift between two frames.
+    pub(crate) between_frames: u64,
 }
 
 /// The buffers of reuse in a plan.
@@ -254,7 +256,8 @@ pub(crate) fn add<R: StoredReservoir, P: Policy>(
         emitter,
     ));
     if settings.cap > 0 {
-        let rays = if still { 0 } else { 2 * count(P::IN_TARGET) + count(P::CONTROL) };
+        let shift = (1 + initial.between_frames) * count(P::IN_TARGET);
+        let rays = if still { 0 } else { 2 * shift + count(P::CONTROL) };
         let pass = NewPass::pixels("temporal", kernel::TEMPORAL, in_place.clone());
         let bounces = if still { 0 } else { 2 * chains * initial.shift_bounces };
         plan.pass(NewPass { runs: Runs::WithHistory, ..pass.rays(bounces, rays, 0) });

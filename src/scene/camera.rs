@@ -155,5 +155,7 @@ mod tests {
         let camera = Camera { to_world: Transform::IDENTITY, fov: std::f32::consts::FRAC_PI_2 };
         let top = camera.rays([80, 20]).ray(Vec2::new(40.0, 0.0)).direction;
         assert!((top.y / top.z - 1.0).abs() < 1e-6, "{top}");
+        let left = camera.rays([20, 80]).ray(Vec2::new(0.0, 40.0)).direction;
+        assert!((left.x / left.z + 1.0).abs() < 1e-6, "{left}");
     }
 }

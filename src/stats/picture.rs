@@ -905,4 +905,16 @@ mod tests {
         assert!(r.compare(&narrow, &Criteria::default()).unwrap_err().is_invalid());
         assert!(Truth::exact(1, 1, vec![Vec3::NAN]).is_err());
     }
+
+    /// Tiles of a picture that is not square are counted in rows from the upper left; none is split
+    /// or mixed with another.
+    #[test]
+    fn tiles_stand_in_rows() {
+        let layout = Layout { width: 5, height: 9, tile: 2, mask: None };
+        assert_eq!((layout.columns(), layout.tiles()), (3, 15));
+        for pixel in 0..45 {
+            let (x, y) = (pixel % 5, pixel / 5);
+            assert_eq!(layout.tile_of(pixel), y / 2 * 3 + x / 2, "({x}, {y})");
+        }
+    }
 }

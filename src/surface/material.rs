@@ -97,3 +97,31 @@ fn alpha(scene: &Scene, roughness: Roughness, uv: Vec2) -> Vec2 {
     let raw = raw.max(Vec2::ZERO);
     if roughness.remap { raw.map(f32::sqrt) } else { raw }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Roughness along u is along the lobe's first tangent, along v along the second, and `remap`
+    /// takes the root of both.
+    #[test]
+    fn roughness_belongs_to_its_tangent() {
+        let (eta, k) = (Vec3::splat(0.2), Vec3::splat(3.0));
+        for (remap, alpha) in [(false, Vec2::new(0.09, 0.49)), (true, Vec2::new(0.3, 0.7))] {
+            let mut scene = Scene::new("brushed");
+            let [u, v] = [0.09, 0.49].map(Scalar::Constant);
+            let material = scene.add_material(Material::Conductor {
+                color: ConductorColor::Complex { eta: Color::Constant(eta), k: Color::Constant(k) },
+                roughness: Roughness { u, v, remap },
+            });
+            let found = evaluate_material(&scene, material, Vec2::ZERO);
+            let expected = Bsdf::conductor(eta, k, alpha);
+            let turned = Bsdf::conductor(eta, k, Vec2::new(alpha.y, alpha.x));
+            let wo = Vec3::new(0.3, 0.1, 0.9).normalize();
+            let wi = Vec3::new(0.2, -0.3, 0.8).normalize();
+            let values = [found, expected, turned].map(|bsdf| bsdf.evaluate(wo, wi).value);
+            assert!((values[0] - values[1]).length() < 1e-6 * values[1].length(), "{values:?}");
+            assert!((values[2] - values[1]).length() > 0.1 * values[1].length(), "{values:?}");
+        }
+    }
+}

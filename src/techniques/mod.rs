@@ -11,10 +11,11 @@ mod rung;
 
 use std::fmt;
 
+pub use crate::reuse::light_points::LightTiles;
 pub use crate::spec::{Parameter, Values};
 pub use path_tracer::{LightSampling, PathTracer};
-pub use restir_di::{LightTiles, RestirDi};
-pub use restir_pt::RestirPt;
+pub use restir_di::RestirDi;
+pub use restir_pt::{Direct, RestirPt, Shade};
 pub use rung::{Moving, Rung};
 
 use crate::counters::Counters;

@@ -516,4 +516,46 @@ mod tests {
         let far = far.count();
         assert!((400..600).contains(&far), "{far} of 1000 on the far half");
     }
+
+    /// A world where nothing but the camera moved has the accelerator of the one before, not another
+    /// one of the same trees.
+    #[test]
+    fn what_stays_is_not_built_in_silence() {
+        let world = World::new(lamps(), &BuildOptions::default()).unwrap();
+        let mut scene = lamps();
+        scene.objects.clone_from(&world.scene.objects);
+        let next = world.next(scene.clone()).unwrap();
+        assert!(world.accel.report().built > 0);
+        assert_eq!(next.accel.report(), world.accel.report());
+        let placed = scene.instances[0].to_world.fixed();
+        let up = glam::Affine3A::from_translation(Vec3::Y);
+        scene.instances[0].to_world = Transform::Fixed(up * placed);
+        assert_eq!(world.next(scene).unwrap().accel.report().built, 0, "the control is built anew");
+    }
+
+    /// A sky's power grows with the scene, so the choice among lights is another one where something
+    /// has moved far away, though no light has.
+    #[test]
+    fn a_sky_is_chosen_as_often_as_the_scene_is_large() {
+        let mut scene = Scene::new("growing");
+        let reflectance = Color::Constant(Vec3::ZERO);
+        let black = scene.add_material(Material::Diffuse { reflectance });
+        let ball = Geometry::Sphere { center: Vec3::ZERO, radius: 1.0 };
+        scene.add_shape(Shape::new(ball.clone(), black));
+        scene.add_shape(Shape::new(ball, black).emitting(Vec3::ONE));
+        let kind = LightKind::Environment { radiance: Vec3::ONE, image: None };
+        scene.lights.push(crate::scene::Light { to_world: Transform::IDENTITY, kind, key: 9 });
+        let world = World::new(scene.clone(), &BuildOptions::default()).unwrap();
+        let far = glam::Affine3A::from_translation(Vec3::X * 50.0);
+        scene.instances[0].to_world = Transform::Fixed(far);
+        scene.objects.clone_from(&world.scene.objects);
+        let next = world.next(scene.clone()).unwrap();
+        let anew = World::new(scene, &BuildOptions::default()).unwrap();
+        let chances = [&world, &next, &anew].map(|world| {
+            let (sky, _) = world.lights.environments().next().unwrap();
+            world.lights.choice_probability(sky)
+        });
+        assert_eq!(chances[1], chances[2]);
+        assert!(chances[1] > chances[0] + 0.01, "{chances:?}");
+    }
 }

@@ -484,6 +484,49 @@ fn render_writes_layers_that_do_not_depend_on_threads() {
     }
 }
 
+/// `--spp 9` is a frame of 8 estimates and one of 1, each estimate of which counts alike: nine times
+/// it less eight times the former is the ninth alone, which no pixel has negative. Another `--seed`
+/// is another picture.
+#[test]
+fn estimates_that_are_left_over_count_alike() {
+    let place = Place::new("rest");
+    let render = |spp: u32, seed: u64| {
+        let out = format!("{spp}-{seed}.exr");
+        let size = "--size 24x20 --depth 4";
+        let line = format!("render {} {size} --spp {spp} --seed {seed} --out {out}", cornell());
+        place.run(&line).done();
+        read_exr(&place.path(&out)).unwrap().picture
+    };
+    let [nine, eight, other] = [render(9, 1), render(8, 1), render(8, 2)];
+    assert_ne!(eight, other);
+    let mut lit = 0;
+    for (nine, eight) in nine.pixels.iter().zip(&eight.pixels) {
+        let ninth = 9.0 * *nine - 8.0 * *eight;
+        let rounding = 1e-5 * eight.max_element();
+        assert!(ninth.min_element() >= -rounding, "{nine} and {eight} leave {ninth}");
+        lit += u32::from(ninth.max_element() > rounding);
+    }
+    assert!(lit > 100, "{lit} pixels are lit");
+}
+
+/// What is seen of lamps directly is no part of `diff`: a picture with its emission is the same as
+/// the one without.
+#[test]
+fn diff_leaves_the_emission_out() {
+    let place = Place::new("emission");
+    place.run(&format!("render {} --size 24x20 --spp 1 --out all.exr", cornell())).done();
+    let file = read_exr(&place.path("all.exr")).unwrap();
+    let emission = file.emission.unwrap();
+    assert!(emission.mean_luminance() > 0.0);
+    let pixels = file.picture.pixels.iter().zip(&emission.pixels).map(|(a, e)| *a - *e).collect();
+    let reflected = Picture::new(24, 20, pixels);
+    write_exr(&place.path("reflected.exr"), [24, 20], &[Layer::rgb("color", &reflected)]).unwrap();
+    let ran = place.run("diff all.exr reflected.exr --json").done();
+    let found: serde_json::Value = serde_json::from_str(&ran.out).unwrap();
+    assert_eq!(found["mse"].as_f64(), Some(0.0), "{found}");
+    assert_eq!(found["mean_ratio"].as_f64(), Some(1.0), "{found}");
+}
+
 #[test]
 fn render_says_where_light_is_beyond_numbers() {
     let place = Place::new("bright");

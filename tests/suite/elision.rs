@@ -401,3 +401,114 @@ fn work_grows_with_the_effort() {
         }
     }
 }
+
+/// Where a surface turns its back on the only light, no shadow ray is traced, and that is counted.
+#[test]
+fn no_shadow_ray_is_traced_to_what_nothing_reflects() {
+    let mut scene = Scene::new("backs");
+    let white = diffuse(&mut scene, 0.5);
+    let c = |x: f32, z: f32| Vec3::new(x, 0.0, z);
+    let floor = [c(-9.0, -9.0), c(-9.0, 9.0), c(9.0, 9.0), c(9.0, -9.0)];
+    scene.add_shape(Shape::new(polygon(&floor), white));
+    let below = Affine3A::from_translation(Vec3::new(0.0, -1.0, 0.0));
+    light(&mut scene, LightKind::Point { intensity: Vec3::ONE }, below);
+    scene.camera = look_at(Vec3::new(0.0, 1.0, -1.0), Vec3::ZERO, 0.5);
+    let stage = Stage::new(scene).unwrap();
+    let counters = work(&stage, "nee", shot([8, 8], 2, 1), 1)[0];
+    assert_eq!((counters.shadow_rays, counters.shadow_rays_saved), (0, 64));
+}
+
+/// With direct light from reservoirs and a depth of 2, a path goes on from mirrors and glass only.
+#[test]
+fn at_depth_two_only_deltas_are_followed() {
+    let stage = Stage::new(room()).unwrap();
+    let shot = shot([24, 16], 2, 1);
+    let world = stage.first_world();
+    let rays = world.scene.camera.rays(shot.size);
+    let deltas = (0..24 * 16).filter(|at| {
+        let place = glam::Vec2::new((at % 24) as f32 + 0.5, (at / 24) as f32 + 0.5);
+        let ray = rays.ray(place);
+        let (origin, direction, t_max) = (ray.origin, ray.direction, f32::INFINITY);
+        let hit = world.closest_hit(&afterimage::accel::Ray { origin, direction, t_max });
+        hit.is_some_and(|hit| {
+            let bsdf = &world.surface(&hit).bsdf;
+            !bsdf.is_black() && !bsdf.has_non_delta()
+        })
+    });
+    let deltas = deltas.count() as u64;
+    assert!(deltas > 20, "{deltas} pixels see a delta");
+    assert_eq!(work(&stage, "ris", shot, 1)[0].bounce_rays, deltas);
+}
+
+/// A technique that keeps history, and is told what moved only where something does.
+#[derive(Debug)]
+struct Told;
+
+impl afterimage::techniques::Technique for Told {
+    fn spec(&self) -> String {
+        "told".into()
+    }
+
+    fn validate(&self) -> afterimage::Result<()> {
+        Ok(())
+    }
+
+    fn plan(&self, facts: &afterimage::plan::SceneFacts, shot: &Shot) -> afterimage::plan::Plan {
+        use afterimage::plan::{BufferKey, Builder, Claim, Elements, NewPass, Plan};
+        let mut plan = Builder::new(self.spec(), facts, shot);
+        let kept: BufferKey<u32> = BufferKey::new("kept");
+        let kept = plan.buffer(kept, Elements::Pixels, true);
+        plan.pass(NewPass::pixels("told", 0, vec![kept, Plan::RADIANCE]));
+        plan.finish(Claim::Unbiased)
+    }
+
+    fn run(
+        &self,
+        _kernel: u32,
+        inputs: &afterimage::pass::FrameInputs<'_>,
+        band: &mut afterimage::pass::Band<'_>,
+    ) -> Counters {
+        let radiance: &mut [[f32; 3]] = band.take(afterimage::plan::Plan::RADIANCE);
+        radiance.fill([f32::from(u8::from(inputs.motion.is_some())); 3]);
+        Counters::default()
+    }
+}
+
+#[test]
+fn what_moved_is_not_asked_for_where_nothing_moves() {
+    let still = Stage::new(room()).unwrap();
+    let moving = Stage::moving(room()).unwrap();
+    for (stage, told) in [(&still, 0.0), (&moving, 1.0)] {
+        let mut frames = FrameLoop::new(Arc::new(Told), stage, shot([4, 4], 2, 1)).unwrap();
+        frames.render().unwrap();
+        let shown = frames.render().unwrap().picture();
+        assert!(
+            shown.pixels.iter().all(|pixel| *pixel == Vec3::splat(told)),
+            "{:?}",
+            shown.pixels[0]
+        );
+    }
+}
+
+/// The boiling filter compares with the mean of the pixels that have a sample: where a few of a tile
+/// are lit, alike, it drops none of them.
+#[test]
+fn boiling_takes_dark_pixels_for_no_part_of_the_mean() {
+    let mut scene = Scene::new("patch");
+    let white = diffuse(&mut scene, 0.5);
+    let disk = Geometry::Disk { center: Vec3::ZERO, normal: Vec3::Y, radius: 0.12 };
+    scene.add_shape(Shape::new(disk, white));
+    for side in [-1.0, 1.0] {
+        let place = Affine3A::from_translation(Vec3::new(side, 30.0, 0.0));
+        light(&mut scene, LightKind::Point { intensity: Vec3::splat(900.0) }, place);
+    }
+    scene.camera = look_at(Vec3::new(0.0, 1.0, -0.01), Vec3::ZERO, 1.0);
+    let stage = Stage::new(scene).unwrap();
+    let shot = shot([16, 16], 2, 1);
+    let [plain, filtered] =
+        ["restir-di", "restir-di:boiling=0.9"].map(|spec| last_frame(&stage, spec, shot, 4).0);
+    let lit = plain.pixels.iter().filter(|pixel| pixel.max_element() > 0.0).count();
+    assert!((4..40).contains(&lit), "{lit} pixels are lit");
+    let ratio = filtered.mean_luminance() / plain.mean_luminance();
+    assert!((ratio - 1.0).abs() < 0.05, "the filter leaves {ratio}");
+}

@@ -27,6 +27,7 @@ mod oracles;
 #[cfg(feature = "experiment")]
 mod outside;
 mod paths;
+mod paths_moved;
 #[cfg(feature = "cli")]
 mod peer;
 mod planted;
@@ -38,3 +39,4 @@ mod stress;
 mod style;
 mod support;
 mod tiles;
+mod union;

@@ -24,7 +24,7 @@ use crate::support::{environment, light, room};
 const SIZE: [u32; 2] = [24, 16];
 
 /// Rooms with a sky, a point light, or neither.
-fn rooms() -> [Scene; 3] {
+pub(crate) fn rooms() -> [Scene; 3] {
     let mut sky = room();
     environment(&mut sky, Vec3::new(0.3, 0.4, 0.5));
     let mut point = room();
@@ -154,7 +154,7 @@ fn reconnections_are_of_the_path_they_belong_to() {
 }
 
 /// What the tree of a seed selects at a primary hit, with W.
-fn drawn(
+pub(crate) fn drawn(
     world: &World,
     receiver: &PathReceiver<'_>,
     seed: u64,
@@ -170,10 +170,15 @@ fn drawn(
     reservoir.finish(target, 1.0)
 }
 
-const CONNECTS: Connects = Connects { distance: 0.05, roughness: Connects::ROUGHNESS };
+pub(crate) const CONNECTS: Connects = Connects { distance: 0.05, roughness: Connects::ROUGHNESS };
 
 /// The receivers of all pixels that see a surface which scatters.
 fn receivers(world: &World) -> Vec<PathReceiver<'_>> {
+    receivers_at(world, Time::Now)
+}
+
+/// The same of one of two frames.
+pub(crate) fn receivers_at(world: &World, time: Time) -> Vec<PathReceiver<'_>> {
     let rays = world.scene.camera.rays(SIZE);
     (0..SIZE[0] * SIZE[1])
         .filter_map(|pixel| {
@@ -181,7 +186,7 @@ fn receivers(world: &World) -> Vec<PathReceiver<'_>> {
             let ray = rays.ray(at);
             let (origin, direction) = (ray.origin, ray.direction);
             let hit = world.closest_hit(&Ray { origin, direction, t_max: f32::INFINITY })?;
-            Some(PathReceiver { world, time: Time::Now, direction, hit })
+            Some(PathReceiver { world, time, direction, hit })
         })
         .collect()
 }
@@ -276,8 +281,11 @@ fn round_trips() {
     }
 }
 
-/// A shift map with a planted bug.
-struct Bugged<'a>(PathShift<'a, AcceptAll>, fn(&mut Shifted<PathSample, Vec3>));
+/// A shift map with a planted bug, which knows the destination.
+pub(crate) struct Bugged<'a>(
+    pub(crate) PathShift<'a, AcceptAll>,
+    pub(crate) fn(&mut Shifted<PathSample, Vec3>, &PathReceiver<'_>),
+);
 
 impl<'a> ShiftMap for Bugged<'a> {
     type Sample = PathSample;
@@ -292,50 +300,45 @@ impl<'a> ShiftMap for Bugged<'a> {
         to: &PathReceiver<'a>,
     ) -> Option<Shifted<PathSample, Vec3>> {
         let mut shifted = self.0.shift(sample, from, to)?;
-        (self.1)(&mut shifted);
+        (self.1)(&mut shifted, to);
         Some(shifted)
     }
 
     fn stratum(&self, _: &PathSample) {}
 }
 
-/// Mean luminance of all pixels that merge the paths of another one into their own, minus what the
-/// path tracer shows of their own: its t statistic over seeds.
-fn merged_against_traced(bug: fn(&mut Shifted<PathSample, Vec3>), family: Family) -> (f64, f64) {
-    let stage = Stage::new(rooms()[0].clone()).unwrap();
-    let world = stage.first_world();
-    let all = receivers(world);
-    let mut shift = Bugged(PathShift::new(&AcceptAll, CONNECTS, None), bug);
+/// Mean luminance of receivers that merge the paths of others, the i-th that of number i, into
+/// their own, minus what the path tracer shows of their own: its t statistic over seeds, and the
+/// relative difference.
+pub(crate) fn merged_against_traced<'a>(
+    shift: &mut Bugged<'a>,
+    (own, others): (&[PathReceiver<'a>], &[PathReceiver<'a>]),
+    family: Family,
+    runs: u64,
+) -> (f64, f64) {
     let mut random = Stream::from_key(10);
     let (mut differences, mut means) = (Moments::default(), Moments::default());
-    for run in 0..2400 {
+    for run in 0..runs {
         let (mut difference, mut mean) = (0.0, 0.0);
-        for at in (0..all.len()).step_by(7) {
-            let draw = |pixel: usize, random: &mut Stream| {
-                let seed = path_seed(run, pixel as u32, 0, 0);
-                drawn(world, &all[pixel], seed, random)
+        for (at, (here, there)) in (0..).zip(own.iter().zip(others)) {
+            let mut draw = |at: u32, receiver: &PathReceiver<'_>| {
+                drawn(receiver.world, receiver, path_seed(run, at, 0, 0), &mut random)
             };
-            // Far enough away that densities differ.
-            let there = (at + 29) % all.len();
-            let (own, other) = (draw(at, &mut random), draw(there, &mut random));
-            let input = |finished: Finished<PathSample, PrimarySample>, domain| {
-                let target = finished.sample.map_or(0.0, |sample| sample.target());
-                Input { finished, target, domain }
-            };
-            let canonical = input(own, &all[at]);
-            let others = [input(other, &all[there])];
+            let (fresh, other) = (draw(2 * at, here), draw(2 * at + 1, there));
+            let canonical = input(fresh, here);
+            let past = [input(other, there)];
             let mut reservoir = Plain::default();
             let merged = merge(
-                &mut shift,
+                shift,
                 family,
                 &canonical,
-                others.as_slice(),
+                past.as_slice(),
                 &mut reservoir,
                 &mut random,
                 |_| (),
             );
             let shown = f64::from(merged.target * merged.finished.weight.get());
-            let traced = f64::from(canonical.target * own.weight.get());
+            let traced = f64::from(canonical.target * fresh.weight.get());
             difference += shown - traced;
             mean += traced;
         }
@@ -346,16 +349,33 @@ fn merged_against_traced(bug: fn(&mut Shifted<PathSample, Vec3>), family: Family
     (test.statistic, test.difference / means.mean())
 }
 
+fn input<'r, 'w>(
+    finished: Finished<PathSample, PrimarySample>,
+    domain: &'r PathReceiver<'w>,
+) -> Input<'r, PathSample, PathReceiver<'w>, PrimarySample> {
+    let target = finished.sample.map_or(0.0, |sample| sample.target());
+    Input { finished, target, domain }
+}
+
 /// Merges with paths of a neighbour show what the pixel's own paths show in the mean, by any
 /// family; without |∂T|, or with the density of one end only, they do not.
 #[test]
 fn merges_of_paths_are_unbiased() {
+    let stage = Stage::new(rooms()[0].clone()).unwrap();
+    let all = receivers(stage.first_world());
+    let some: Vec<_> = all.iter().copied().step_by(7).collect();
+    // Far enough away that densities differ.
+    let far: Vec<_> = (0..all.len()).step_by(7).map(|at| all[(at + 29) % all.len()]).collect();
+    let run = |bug: fn(&mut Shifted<PathSample, Vec3>, &PathReceiver<'_>), family| {
+        let mut shift = Bugged(PathShift::new(&AcceptAll, CONNECTS, None), bug);
+        merged_against_traced(&mut shift, (&some, &far), family, 2400)
+    };
     for family in [Family::Balance, Family::DefensivePairwise] {
-        let (t, bias) = merged_against_traced(|_| (), family);
+        let (t, bias) = run(|_, _| (), family);
         println!("{family:?}: t {t:.2}, bias {:.3} %", 100.0 * bias);
         assert!(t.abs() < 4.5, "{family:?}: t {t}, bias {bias}");
     }
-    let (t, bias) = merged_against_traced(|shifted| shifted.jacobian = 1.0, Family::Balance);
+    let (t, bias) = run(|shifted, _| shifted.jacobian = 1.0, Family::Balance);
     println!("without the Jacobian: t {t:.2}, bias {:.3} %", 100.0 * bias);
     assert!(t.abs() > 4.5, "the control must fail: t {t}, bias {bias}");
 }

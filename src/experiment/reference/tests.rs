@@ -290,3 +290,28 @@ fn a_stale_reference_is_never_used_in_silence() {
     assert_eq!((source.as_str(), &reference), ("made", &of_dim));
     assert!(notes.len() == 1 && notes[0].contains("differs"), "{notes:?}");
 }
+
+/// A reference that is continued gets frames of its own: the 17th and the 18th, each from a session
+/// of its own, are not the same.
+#[test]
+fn a_continued_reference_is_not_the_same_frames_again() {
+    let mut place = Place::new("continued");
+    let settings = SessionSettings { size: Some([8, 8]), ..SessionSettings::default() };
+    let session = place.session(scene(), &settings);
+    place.settings.seconds = 0.0;
+    let technique = session::technique("nee").unwrap();
+    let next = || obtain(&session, &place.settings, &technique, 0.0).unwrap();
+    let made = [next(), next(), next()];
+    let sources = made.each_ref().map(|made| made.info.source.as_str());
+    assert_eq!(sources, ["made", "cache, continued", "cache, continued"]);
+    let [a, b, c] = made.map(|made| (made.reference.frames() as f32, made.reference.picture()));
+    assert_eq!([a.0, b.0, c.0], [16.0, 17.0, 18.0]);
+    let (mut differ, mut all) = (0, 0);
+    for ((a, b), c) in a.1.pixels.iter().zip(&b.1.pixels).zip(&c.1.pixels) {
+        let frames = [17.0 * *b - 16.0 * *a, 18.0 * *c - 17.0 * *b];
+        let rounding = 1e-4 * c.max_element();
+        differ += u32::from((frames[0] - frames[1]).abs().max_element() > rounding);
+        all += u32::from(c.max_element() > 0.0);
+    }
+    assert!(all > 30 && 2 * differ > all, "{differ} of {all} pixels differ");
+}

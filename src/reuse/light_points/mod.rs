@@ -21,14 +21,16 @@ mod initial;
 mod mutate;
 mod receiver;
 mod record;
+mod sources;
 #[cfg(test)]
 mod tests;
 pub(crate) mod twin;
 
-pub(crate) use candidates::TILE;
 pub use candidates::{Candidates, Chosen, TileEntry, candidates, fill_tile};
 pub(crate) use domain::LightPoints;
 pub(crate) use initial::{Sources, TILES};
 pub use mutate::{LightPointMutator, PointState};
 pub use receiver::{LightMeasure, LightPointShift, Receiver, Sight, Time};
 pub use record::Record;
+pub use sources::LightTiles;
+pub(crate) use sources::{PATHS, Supplied, Supply};

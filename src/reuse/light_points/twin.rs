@@ -1,6 +1,6 @@
 //! What light points bring to twins for graphics processors.
 
-use super::{Record, TILES};
+use super::{Record, Supplied, TILES};
 use crate::plan::Plan;
 use crate::reuse::passes::NORMALS;
 use crate::reuse::twin::{DomainTwin, TwinSettings, flag, id, shared, with_surfaces};
@@ -10,20 +10,7 @@ const RECEIVER: Module = crate::wgsl!("receiver.wgsl");
 const TILES_WGSL: Module = crate::wgsl!("tiles.wgsl");
 const CANDIDATES: Module = crate::wgsl!("candidates.wgsl");
 
-/// Where candidates come from.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct CandidateSettings {
-    /// Light samples.
-    pub(crate) lights: u32,
-    /// BSDF samples.
-    pub(crate) bsdf: u32,
-    /// Whether BSDF samples look for emitting surfaces.
-    pub(crate) surfaces: bool,
-    /// Tiles of light points made ahead.
-    pub(crate) tiles: u32,
-}
-
-impl CandidateSettings {
+impl Supplied {
     fn tile_constants(&self, plan: &Plan) -> [(&'static str, f64); 2] {
         [("LIGHT_TILES", f64::from(self.tiles)), ("B_TILES", id(plan, TILES))]
     }
@@ -66,11 +53,7 @@ pub(crate) fn domain(mutations: u32, large_steps: f32) -> DomainTwin {
 }
 
 /// The twin of the initial pass.
-pub(crate) fn initial(
-    at: &TwinSettings<'_>,
-    domain: &DomainTwin,
-    candidates: CandidateSettings,
-) -> Twin {
+pub(crate) fn initial(at: &TwinSettings<'_>, domain: &DomainTwin, candidates: Supplied) -> Twin {
     let mut twin = shared::<Record>(at, domain);
     twin.kernel = "initial";
     with_surfaces(&mut twin, at);

@@ -2,18 +2,18 @@
 
 use glam::Vec3;
 
-use super::{Connects, MOST_SEGMENTS, PathReceiver, PathRecord, PathSample, PathShift, Tree};
+use super::{Connects, PathReceiver, PathRecord, PathSample, PathShift, Tree};
 use crate::accel::{Hit, HitFilter};
 use crate::counters::Counters;
-use crate::math::rng::{Purpose, RandomSource};
+use crate::math::rng::{Purpose, RandomSource, Stream};
 use crate::pass::{Band, FrameInputs, Pixel, PrimaryHit};
-use crate::path::{Limits, Steps, sampled, walk};
+use crate::path::{Limits, Steps, finite_or_counted, sampled, walk};
 use crate::plan::Plan;
-use crate::resampling::{Finished, Plain, PrimarySample, Reservoir};
-use crate::reuse::light_points::Time;
-use crate::reuse::passes::{Keys, NORMALS};
+use crate::resampling::{ContributionWeight, Finished, Plain, PrimarySample, Reservoir};
+use crate::reuse::light_points::{Chosen, PATHS, Receiver, Sources, Time, candidates};
+use crate::reuse::passes::{self, Keys, NORMALS};
 use crate::reuse::surfaces::pack_normal;
-use crate::reuse::{Domain, Mutated, StoredReservoir};
+use crate::reuse::{Control, Domain, Mutated, StoredReservoir};
 
 /// The paths of one frame.
 #[derive(Debug)]
@@ -24,51 +24,166 @@ pub(crate) struct Paths<'a, F> {
     pub(crate) filter: &'a F,
     /// Which pairs of vertices a shift may connect.
     pub(crate) connects: Connects,
+    /// Whether lights or geometry move.
+    pub(crate) retraces: bool,
+}
+
+/// What the initial pass fills reservoirs with.
+pub(crate) struct Fresh<'a> {
+    /// Walks a chain whose paths are chosen from.
+    pub(crate) walks: u32,
+    /// Of these walks.
+    pub(crate) limits: Limits,
+    /// Where candidates for direct light come from; `None`: it is part of the walks.
+    pub(crate) direct: Option<Sources<'a>>,
+}
+
+/// A chain's reservoir on its way, and all light that was met.
+struct Filling {
+    reservoir: Plain<PathSample>,
+    sum: Vec3,
+    /// The light point that was streamed.
+    direct: Option<(f32, Finished<PathSample, PrimarySample>)>,
 }
 
 impl<F: HitFilter + Sync> Paths<'_, F> {
-    /// Fills a band of reservoirs with the trees of fresh walks, and the normals that later passes
-    /// compare.
-    pub(crate) fn initial(&self, walks: u32, roulette_after: u32, band: &mut Band<'_>) -> Counters {
+    /// Fills a band of reservoirs with candidates for direct light and the trees of fresh walks,
+    /// estimates with the sums of both, and the normals that later passes compare.
+    pub(crate) fn initial(&self, mut fresh: Fresh<'_>, band: &mut Band<'_>) -> Counters {
         let mut counters = Counters::default();
         let inputs = self.frame;
-        let world = inputs.world;
         let chains = inputs.shot.chains();
-        let limits = Limits { depth: inputs.shot.depth.min(MOST_SEGMENTS), roulette_after };
-        let steps = Steps::<{ sampled::ONE }, F> { world, filter: self.filter };
         let hits = inputs.read::<PrimaryHit>(Plan::HITS);
         let pixels = band.pixels();
         let records: &mut [PathRecord] = band.take(inputs.id(Keys::<PathRecord>::RESERVOIRS));
+        let controls: &mut [Control] = band.take_some(inputs.plan.id(passes::CONTROLS));
         let normals: &mut [u32] = band.take_some(inputs.plan.id(NORMALS));
         for (local, pixel) in pixels.enumerate() {
             let own = local * chains as usize..(local + 1) * chains as usize;
-            let hit = hits[pixel.index as usize].get();
-            let surface = hit.map(|hit| world.surface(&hit));
+            let receiver = hits[pixel.index as usize].get().map(|hit| {
+                let direction = inputs.primary_direction(pixel);
+                (hit, Receiver::new(inputs.world, hit, direction, Time::Now))
+            });
             if let Some(normal) = normals.get_mut(local) {
-                *normal = surface.as_ref().map_or(0, |surface| pack_normal(surface.frame.normal));
+                let surface = receiver.as_ref().map(|(_, receiver)| &receiver.surface().0);
+                *normal = surface.map_or(0, |surface| pack_normal(surface.frame.normal));
             }
-            let Some(hit) = hit.filter(|_| surface.is_some_and(|s| !s.bsdf.is_black())) else {
-                records[own].fill(PathRecord::default());
+            let scatters = |receiver: &Receiver<'_>| !receiver.surface().0.bsdf.is_black();
+            let Some((hit, receiver)) = receiver.filter(|(_, receiver)| scatters(receiver)) else {
+                records[own.clone()].fill(PathRecord::default());
+                if let Some(controls) = controls.get_mut(own) {
+                    controls.fill(Control::default());
+                }
                 continue;
             };
-            let primary = (inputs.primary_direction(pixel), &hit);
             let seeds = inputs.seeds(pixel.index);
-            for (chain, record) in (0..chains).zip(&mut records[own]) {
+            for (chain, at) in (0..chains).zip(own) {
                 let mut random = inputs.stream(pixel.index, Purpose::Selection, chain << 8);
-                let mut reservoir = Plain::<PathSample>::default();
-                for number in 0..walks {
-                    let seed = seeds.seed(chain * walks + number);
-                    let how = (seed, walks);
-                    let mut tree =
-                        Tree::new(world, self.connects, how, &mut reservoir, &mut random);
-                    walk::<_, true, F>(&steps, seed, primary, limits, &mut tree, &mut counters);
+                let mut filling =
+                    Filling { reservoir: Plain::default(), sum: Vec3::ZERO, direct: None };
+                if let Some(sources) = &mut fresh.direct
+                    && receiver.scatters()
+                {
+                    let from = sources.at(pixel);
+                    let first = (seeds, chain * (from.lights + from.bsdf));
+                    let chosen = candidates(&receiver, from, first, &mut random, &mut counters);
+                    match chosen {
+                        Some(chosen) => self.stream_direct(
+                            &mut filling,
+                            &receiver,
+                            &chosen,
+                            &mut random,
+                            &mut counters,
+                        ),
+                        None => counters.shadow_rays_saved += 1,
+                    }
                 }
-                counters.weights_rejected += u64::from(reservoir.rejected());
-                let target = reservoir.selected().map_or(0.0, |sample| sample.target());
-                *record = PathRecord::new(&reservoir.finish(target, 1.0), 0);
+                for number in 0..fresh.walks {
+                    let number = chain * fresh.walks + number;
+                    let seed = match &fresh.direct {
+                        Some(_) => seeds.seed(PATHS + number),
+                        None => seeds.seed(number),
+                    };
+                    self.stream_walk(
+                        &mut filling,
+                        &fresh,
+                        (seed, &hit, pixel),
+                        &mut random,
+                        &mut counters,
+                    );
+                }
+                counters.weights_rejected += u64::from(filling.reservoir.rejected());
+                if let Some(control) = controls.get_mut(at) {
+                    *control = Control::new(finite_or_counted(filling.sum, &mut counters), true);
+                }
+                records[at] = PathRecord::new(&filling.finish(), 0);
             }
         }
         counters
+    }
+
+    /// Streams the light point that candidates chose, if it is seen.
+    #[inline]
+    fn stream_direct(
+        &self,
+        filling: &mut Filling,
+        receiver: &Receiver<'_>,
+        chosen: &Chosen,
+        random: &mut Stream,
+        counters: &mut Counters,
+    ) {
+        let weight = chosen.finish(1.0).weight;
+        let target = chosen.sight.target();
+        if weight.get() > 0.0 && chosen.is_seen(receiver, self.filter, counters) {
+            let sample = PathSample::direct(chosen.point, chosen.integrand());
+            let finished = Finished {
+                sample: Some(sample),
+                weight: ContributionWeight::new(weight.get()),
+                confidence: 1.0,
+            };
+            filling.reservoir.stream(sample, target * weight.get(), (), random);
+            filling.direct = Some((filling.reservoir.weight_sum(), finished));
+            filling.sum += chosen.integrand() * weight.get();
+        }
+    }
+
+    /// Streams the paths of a walk.
+    #[inline]
+    fn stream_walk(
+        &self,
+        filling: &mut Filling,
+        fresh: &Fresh<'_>,
+        (seed, hit, pixel): (u64, &Hit, Pixel),
+        random: &mut Stream,
+        counters: &mut Counters,
+    ) {
+        let world = self.frame.world;
+        let steps = Steps::<{ sampled::ONE }, F> { world, filter: self.filter };
+        let primary = (self.frame.primary_direction(pixel), hit);
+        let (walks, limits) = (fresh.walks, fresh.limits);
+        let how = (seed, walks);
+        let mut tree = Tree::new(world, self.connects, how, &mut filling.reservoir, random);
+        if fresh.direct.is_some() {
+            walk::<_, false, F>(&steps, seed, primary, limits, &mut tree, counters);
+        } else {
+            walk::<_, true, F>(&steps, seed, primary, limits, &mut tree, counters);
+        }
+        let sum = tree.sum;
+        filling.sum += sum / walks as f32;
+    }
+}
+
+impl Filling {
+    fn finish(self) -> Finished<PathSample, PrimarySample> {
+        // Where there is nothing but the light point, W is its own, which a product and a quotient
+        // would only round.
+        match self.direct {
+            Some((sum, finished)) if sum == self.reservoir.weight_sum() => finished,
+            _ => {
+                let target = self.reservoir.selected().map_or(0.0, |sample| sample.target());
+                self.reservoir.finish(target, 1.0)
+            }
+        }
     }
 }
 
@@ -105,7 +220,7 @@ impl<'a, F: HitFilter + Sync> Domain for Paths<'a, F> {
     }
 
     fn shift(&self) -> PathShift<'a, F> {
-        PathShift::new(self.filter, self.connects, self.frame.motion)
+        PathShift::new(self.filter, self.connects, self.frame.motion).retracing(self.retraces)
     }
 
     fn work(shift: &PathShift<'a, F>) -> Counters {

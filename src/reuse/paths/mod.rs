@@ -11,6 +11,11 @@
 //! | ℓᵢ | the lobe that vᵢ scattered by |
 //! | p(ω, ℓ) | joint density of lobe and direction per solid angle |
 //!
+//! A reservoir may hold *either* such a path *or* a light point of the primary hit
+//! ([`Ending::Direct`]): direct light has the candidates and the measure that it has in
+//! `restir-di`, all other light is a path. The two parts do not overlap, and no shift leads from
+//! one to the other.
+//!
 //! A path's first connectable pair decides `x_r`: vertices far enough apart, both rough
 //! ([`Connects`]). It is found from the path's own vertices and lobes alone: a path that ends with
 //! a light sample at `v_n` knows nothing of the direction that the walk takes from there
@@ -20,14 +25,16 @@
 //! our v₀.
 
 mod domain;
+mod frames;
 mod record;
 mod shift;
+mod suffix;
 mod trail;
 mod tree;
 
 use glam::Vec3;
 
-pub(crate) use domain::Paths;
+pub(crate) use domain::{Fresh, Paths};
 pub use record::PathRecord;
 pub use shift::{Failure, PathReceiver, PathShift};
 pub use tree::Tree;
@@ -52,11 +59,14 @@ pub enum Ending {
     },
     /// At an emitter that the last vertex's direction met.
     Emitter,
-    /// In the sky that is light number `light`.
+    /// In a sky.
     Sky {
-        /// In the light table.
-        light: u32,
+        /// Its number among the skies of its world.
+        sky: u32,
     },
+    /// At a light point that the primary hit's candidates chose, as in `restir-di`: n is 0, no seed
+    /// belongs to it, F = f |cos| L G is in the measure of the light, and so is W.
+    Direct,
 }
 
 /// What a shift keeps at `x_r`.
@@ -92,7 +102,7 @@ pub struct Reconnection {
     /// The path's part of \|∂T\|: p(`ω_{r−1}`, `ℓ_{r−1}`) g p(`ω_r`, `ℓ_r`), with g = \|cos\|/d² at
     /// `x_r` by its geometric normal. Without the last factor where the light at `v_r` is sampled
     /// or `x_r` is an emitter; p(ω, ℓ) alone for a sky; for a point on a light the density of light
-    /// sampling, in the light's measure.
+    /// sampling, in the light's measure; 1 for [`Ending::Direct`].
     pub density: f32,
     /// p ℓ of the end at `v_n` per solid angle, where r = n; else 0.
     pub light_density: f32,
@@ -114,6 +124,23 @@ pub struct PathSample {
 }
 
 impl PathSample {
+    /// A light point of the primary hit with its F.
+    #[inline]
+    #[must_use]
+    pub fn direct(point: LightPoint, integrand: Vec3) -> Self {
+        let reconnection = Reconnection {
+            vertex: 1,
+            lobes: [NO_LOBE; 2],
+            anchor: Anchor::Point(point),
+            direction: Vec3::ZERO,
+            radiance: Vec3::ZERO,
+            density: 1.0,
+            light_density: 0.0,
+        };
+        let (ending, reconnection) = (Ending::Direct, Some(reconnection));
+        Self { seed: 0, integrand, last: 0, ending, reconnection }
+    }
+
     /// p̂.
     #[inline]
     #[must_use]

@@ -3,8 +3,9 @@
 
 use glam::Vec3;
 
+use super::suffix::{Suffix, light_again};
 use super::trail::Trail;
-use super::{Anchor, Connects, Ending, PathSample, Reconnection};
+use super::{Anchor, Connects, Ending, NO_LOBE, PathSample, Reconnection};
 use crate::accel::{AcceptAll, Hit, HitFilter, HitPoint};
 use crate::counters::Counters;
 use crate::light::{Arrival, LightPoint, NO_LIGHT};
@@ -71,6 +72,9 @@ pub struct PathShift<'a, F> {
     pub connects: Connects,
     /// What leads from the previous frame to this one; `None` where shifts stay in one frame.
     pub motion: Option<&'a Motion>,
+    /// Whether lights or geometry move, so that what lies behind `x_r` is traced again in another
+    /// frame.
+    pub retraces: bool,
     /// Work done.
     pub counters: Counters,
     /// Shifts that were undefined, by reason.
@@ -89,6 +93,7 @@ struct Replay {
 /// What a connection gives.
 struct Connected {
     integrand: Vec3,
+    ending: Ending,
     reconnection: Option<Reconnection>,
     jacobian: f32,
 }
@@ -98,7 +103,13 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
     #[must_use]
     pub fn new(filter: &'a F, connects: Connects, motion: Option<&'a Motion>) -> Self {
         let counters = Counters::default();
-        Self { filter, connects, motion, counters, failures: [0; Failure::COUNT] }
+        Self { filter, connects, motion, retraces: false, counters, failures: [0; Failure::COUNT] }
+    }
+
+    /// The same, which traces what lies behind `x_r` again where the frame changes.
+    #[must_use]
+    pub fn retracing(self, retraces: bool) -> Self {
+        Self { retraces, ..self }
     }
 
     /// T, or why it is undefined.
@@ -120,9 +131,9 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
                 self.connect(sample, from, to, filter)
             }
         }?;
-        let Connected { integrand, reconnection, jacobian } = connected;
+        let Connected { integrand, ending, reconnection, jacobian } = connected;
         let finite = integrand.is_finite() && jacobian.is_finite() && jacobian > 0.0;
-        let sample = PathSample { integrand, reconnection, ..*sample };
+        let sample = PathSample { integrand, ending, reconnection, ..*sample };
         // p̂ may overflow or vanish where no channel does.
         if !finite || !sample.target().is_finite() {
             return Err(Failure::NotFinite);
@@ -141,28 +152,38 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         filter: &G,
     ) -> Result<Connected, Failure> {
         let steps = Steps::<{ sampled::ONE }, G> { world: to.world, filter };
-        let (Some(kept), last) = (&sample.reconnection, u32::from(sample.last)) else {
-            return self.replay_to_the_end(&steps, sample, to);
+        // A path that ends in a sky is lost where that sky is, whatever lies before.
+        let sky = match sample.ending {
+            Ending::Sky { sky } => self.sky_there(sky, from, to)?,
+            _ => 0,
+        };
+        let Some(kept) = &sample.reconnection else {
+            return self.replay_to_the_end(&steps, sample, to, sky);
         };
         let replay = self.replay(&steps, sample.seed, to, u32::from(kept.vertex) - 1)?;
-        match kept.anchor {
+        // What stays the same on x_r may be worth more in the measure of the other frame.
+        let (connected, ratio) = match kept.anchor {
             Anchor::Point(point) => {
-                let point = self.point_there(point, from, to)?;
-                self.connect_light_point(&steps, &replay, kept, point)
+                let (point, ratio) = self.point_there(point, from, to)?;
+                (self.connect_light_point(&steps, &replay, (sample, kept), point)?, ratio)
             }
             Anchor::Sky { light } => {
                 let light = self.light_there(light, from, to)?;
-                self.connect_sky(&steps, &replay, kept, light)
+                let ending = Ending::Sky { sky };
+                (self.connect_sky(&steps, &replay, kept, (light, ending))?, 1.0)
             }
             Anchor::Surface(hit) => {
-                let hit = self.hit_there(&hit, from, to)?;
-                if u32::from(kept.vertex) > last {
-                    self.connect_emitter(&steps, &replay, kept, &hit)
+                let (hit, point, ratio) = self.hit_there(&hit, from, to)?;
+                let connected = if kept.vertex > sample.last {
+                    self.connect_emitter(&steps, &replay, kept, (&hit, &point))?
                 } else {
-                    self.connect_surface(&steps, &replay, sample, kept, &hit)
-                }
+                    let again = self.retraces_between(from, to).then_some(sky);
+                    self.connect_surface(&steps, &replay, sample, kept, (&hit, &point), again)?
+                };
+                (connected, ratio)
             }
-        }
+        };
+        Ok(Connected { jacobian: connected.jacobian * ratio, ..connected })
     }
 
     /// Replays a path to vertex number `end`. No pair on the way may be connected.
@@ -221,11 +242,13 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         steps: &Steps<'_, { sampled::ONE }, G>,
         sample: &PathSample,
         to: &PathReceiver<'_>,
+        sky: u32,
     ) -> Result<Connected, Failure> {
         let mut replay = self.replay(steps, sample.seed, to, u32::from(sample.last))?;
         let (direction, scattered) = self.scatter(steps, sample.seed, &mut replay)?;
         let hit = steps.onward(&replay.vertex, direction, &mut self.counters);
-        let (emission, share) = match (sample.ending, hit) {
+        let beside = scattered.beside_lights();
+        let (end, ending) = match (sample.ending, hit) {
             (Ending::Emitter, Some(hit)) => {
                 let world = steps.world;
                 let (shape, element) = world.accel.shape_of(&hit);
@@ -238,22 +261,20 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
                 if far && replay.trail.rough {
                     return Err(Failure::Earlier);
                 }
-                let end = steps.ending(&replay.vertex, &scattered, direction, light, &point);
-                let end = end.ok_or(Failure::Back)?;
-                (end.emission, end.share)
+                let end = steps.ending(&replay.vertex, beside, direction, light, &point);
+                (end.ok_or(Failure::Back)?, Ending::Emitter)
             }
-            (Ending::Sky { light }, None) => {
+            (Ending::Sky { .. }, None) => {
                 if replay.trail.rough {
                     return Err(Failure::Earlier);
                 }
-                let end = steps.skies(&scattered, direction).find(|end| end.light == light);
-                let end = end.ok_or(Failure::LightGone)?;
-                (end.emission, end.share)
+                let end = steps.skies(beside, direction).nth(sky as usize);
+                (end.ok_or(Failure::LightGone)?, Ending::Sky { sky })
             }
             _ => return Err(Failure::Length),
         };
-        let integrand = replay.throughput * emission * share;
-        Ok(Connected { integrand, reconnection: None, jacobian: 1.0 })
+        let integrand = replay.throughput * end.emission * end.share;
+        Ok(Connected { integrand, ending, reconnection: None, jacobian: 1.0 })
     }
 
     /// All lobes at the vertex before `x_r` towards `direction`, and the joint density of
@@ -311,52 +332,66 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         Ok(())
     }
 
-    /// `x_r` is a vertex that scatters.
+    /// `x_r` is a vertex that scatters. `again` has the path's sky in the destination's world where
+    /// what lies behind is traced there.
     fn connect_surface<G: HitFilter>(
         &mut self,
         steps: &Steps<'_, { sampled::ONE }, G>,
         replay: &Replay,
         sample: &PathSample,
         kept: &Reconnection,
-        hit: &Hit,
+        (hit, point): (&Hit, &HitPoint),
+        again: Option<u32>,
     ) -> Result<Connected, Failure> {
-        let world = steps.world;
-        let point = world.accel.point(hit);
-        let (direction, geometry) = self.way(replay, &point)?;
+        let (direction, geometry) = self.way(replay, point)?;
         let (total, joint) = self.leave(replay, kept.lobes[0], direction)?;
-        let vertex = Vertex::new(world, hit, &point, direction).ok_or(Failure::Back)?;
-        let bsdf = &vertex.surface.bsdf;
-        let wi = vertex.surface.frame.to_local(kept.direction);
-        let at_last = kept.vertex == sample.last;
-        let (behind, density) = match sample.ending {
-            Ending::Light { delta } if at_last => {
-                let there = bsdf.evaluate(vertex.outgoing, wi);
-                let share =
-                    if delta { 1.0 } else { power_heuristic(kept.light_density, there.pdf) };
-                (there.value * kept.radiance * (share / kept.light_density), 1.0)
-            }
-            _ => {
-                let lobe = u32::from(kept.lobes[1]);
-                let (there, joint) = bsdf.evaluate_with_lobe(lobe, vertex.outgoing, wi);
-                if joint <= 0.0 {
-                    return Err(Failure::Back);
-                }
-                let share =
-                    if at_last { power_heuristic(there.pdf, kept.light_density) } else { 1.0 };
-                (there.value / there.pdf * kept.radiance * share, joint)
-            }
-        };
-        if behind == Vec3::ZERO {
-            return Err(Failure::Back);
+        let vertex = Vertex::new(steps.world, hit, point, direction).ok_or(Failure::Back)?;
+        let mut suffix = Suffix::kept(sample, kept);
+        let samples_light = kept.lobes[1] == NO_LOBE;
+        let mut onward = Onward { total: Evaluation::ZERO, joint: 0.0 };
+        if !(samples_light && again.is_some()) {
+            onward = onward_from(&vertex, kept.lobes[1], suffix.direction)?;
         }
         let normal = point.geometric_normal;
         let side = 1.0_f32.copysign(-direction.dot(normal));
         let end = offset_origin(point.position, normal * side, point.error);
         self.look(steps, replay, direction, Some(end))?;
-        let density = joint * geometry * density;
-        let reconnection = Reconnection { density, anchor: Anchor::Surface(*hit), ..*kept };
+        if let Some(sky) = again {
+            let counters = &mut self.counters;
+            if samples_light {
+                let numbers = (sample.seed, kept.vertex.into());
+                let light = light_again(steps, &vertex, numbers, counters)?;
+                onward = Onward { total: light.scattered, joint: 1.0 };
+                suffix = Suffix::lit(&light);
+            } else {
+                let from = (kept, onward.total.pdf);
+                suffix = Suffix::traced(steps, &vertex, sample, from, sky, counters)?;
+            }
+        }
+        let Suffix { radiance, light_density, ending, .. } = suffix;
+        let there = onward.total;
+        let behind = if samples_light {
+            let alone = ending == Ending::Light { delta: true };
+            let share = if alone { 1.0 } else { power_heuristic(light_density, there.pdf) };
+            there.value * radiance * (share / light_density)
+        } else {
+            let at_last = kept.vertex == sample.last;
+            let share = if at_last { power_heuristic(there.pdf, light_density) } else { 1.0 };
+            there.value / there.pdf * radiance * share
+        };
+        let density = joint * geometry * onward.joint;
+        let Suffix { direction, .. } = suffix;
+        let reconnection = Reconnection {
+            density,
+            anchor: Anchor::Surface(*hit),
+            direction,
+            radiance,
+            light_density,
+            ..*kept
+        };
         Ok(Connected {
             integrand: replay.throughput * (total.value / total.pdf) * behind,
+            ending,
             reconnection: Some(reconnection),
             jacobian: density / kept.density,
         })
@@ -368,15 +403,14 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         steps: &Steps<'_, { sampled::ONE }, G>,
         replay: &Replay,
         kept: &Reconnection,
-        hit: &Hit,
+        (hit, point): (&Hit, &HitPoint),
     ) -> Result<Connected, Failure> {
         let world = steps.world;
-        let point = world.accel.point(hit);
         let light = world.lights.of_surface(point.shape, point.element);
         if light == NO_LIGHT {
             return Err(Failure::LightGone);
         }
-        let (direction, geometry) = self.way(replay, &point)?;
+        let (direction, geometry) = self.way(replay, point)?;
         let (total, joint) = self.leave(replay, kept.lobes[0], direction)?;
         let cosine = -direction.dot(point.geometric_normal);
         let emission = world.lights.emitted(&world.scene, light, point.uv, cosine);
@@ -394,6 +428,7 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         let anchor = Anchor::Surface(*hit);
         Ok(Connected {
             integrand: replay.throughput * (total.value / total.pdf) * emission * share,
+            ending: Ending::Emitter,
             reconnection: Some(Reconnection {
                 density,
                 anchor,
@@ -411,7 +446,7 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         steps: &Steps<'_, { sampled::ONE }, G>,
         replay: &Replay,
         kept: &Reconnection,
-        light: u32,
+        (light, ending): (u32, Ending),
     ) -> Result<Connected, Failure> {
         let lights = &steps.world.lights;
         let direction = kept.direction;
@@ -425,6 +460,7 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         let anchor = Anchor::Sky { light };
         Ok(Connected {
             integrand: replay.throughput * (total.value / total.pdf) * emission * share,
+            ending,
             reconnection: Some(Reconnection {
                 density: joint,
                 anchor,
@@ -440,7 +476,7 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         &mut self,
         steps: &Steps<'_, { sampled::ONE }, G>,
         replay: &Replay,
-        kept: &Reconnection,
+        (sample, kept): (&PathSample, &Reconnection),
         point: LightPoint,
     ) -> Result<Connected, Failure> {
         let Vertex { surface, outgoing } = &replay.vertex;
@@ -449,13 +485,19 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         }
         let world = steps.world;
         let emitter = world.lights.emitter(&world.scene, point).ok_or(Failure::LightGone)?;
-        let LightEnd { arrival, density } =
-            light_end(world, surface.position, point).ok_or(Failure::Back)?;
+        let direct = sample.ending == Ending::Direct;
+        let LightEnd { arrival, density } = if direct {
+            let arrival = emitter.towards(&world.lights, surface.position).ok_or(Failure::Back)?;
+            LightEnd { arrival, density: 1.0 }
+        } else {
+            light_end(world, surface.position, point).ok_or(Failure::Back)?
+        };
         let scattered = surface.bsdf.evaluate(*outgoing, surface.frame.to_local(arrival.direction));
         if scattered.value == Vec3::ZERO {
             return Err(Failure::Back);
         }
-        let share = if arrival.geometry == 0.0 {
+        let delta = arrival.geometry == 0.0;
+        let share = if direct || delta {
             1.0
         } else {
             power_heuristic(density / arrival.geometry, scattered.pdf)
@@ -471,57 +513,35 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         };
         Ok(Connected {
             integrand: replay.throughput * scattered.value * arrival.radiance * (share / density),
+            ending: if direct { Ending::Direct } else { Ending::Light { delta } },
             reconnection: Some(reconnection),
             jacobian: density / kept.density,
         })
     }
+}
 
-    /// A light's place in the destination's table.
-    fn light_there(
-        &self,
-        light: u32,
-        from: &PathReceiver<'_>,
-        to: &PathReceiver<'_>,
-    ) -> Result<u32, Failure> {
-        if from.time == to.time {
-            return Ok(light);
-        }
-        let remap = self.motion.and_then(|motion| motion.lights.as_ref());
-        let there = match (remap, to.time) {
-            (None, _) => Some(light),
-            (Some(remap), Time::Now) => remap.to_current(light),
-            (Some(remap), Time::Before) => remap.to_previous(light),
-        };
-        there
-            .filter(|there| to.world.lights.same_kind(*there, &from.world.lights, light))
-            .ok_or(Failure::LightGone)
-    }
+/// What `x_r` makes of the direction onward.
+#[derive(Clone, Copy)]
+struct Onward {
+    /// All lobes.
+    total: Evaluation,
+    /// Joint density with `ℓ_r`; 1 where a light is sampled.
+    joint: f32,
+}
 
-    /// A light point on the destination's light.
-    fn point_there(
-        &self,
-        point: LightPoint,
-        from: &PathReceiver<'_>,
-        to: &PathReceiver<'_>,
-    ) -> Result<LightPoint, Failure> {
-        Ok(LightPoint { light: self.light_there(point.light, from, to)?, ..point })
-    }
-
-    /// A hit on the destination's instance.
-    fn hit_there(
-        &self,
-        hit: &Hit,
-        from: &PathReceiver<'_>,
-        to: &PathReceiver<'_>,
-    ) -> Result<Hit, Failure> {
-        let place = match (self.motion, to.time) {
-            _ if from.time == to.time => Some(hit.instance),
-            (None, _) => Some(hit.instance),
-            (Some(motion), Time::Now) => motion.current_instance(hit.instance),
-            (Some(motion), Time::Before) => motion.previous_instance(hit.instance),
-        };
-        place.map(|instance| Hit { instance, ..*hit }).ok_or(Failure::ObjectGone)
-    }
+/// What a vertex makes of a direction onward by `lobe`, or by all for a light sample.
+#[inline]
+fn onward_from(at: &Vertex, lobe: u8, direction: Vec3) -> Result<Onward, Failure> {
+    let bsdf = &at.surface.bsdf;
+    let wi = at.surface.frame.to_local(direction);
+    let onward = if lobe == NO_LOBE {
+        Onward { total: bsdf.evaluate(at.outgoing, wi), joint: 1.0 }
+    } else {
+        let (total, joint) = bsdf.evaluate_with_lobe(lobe.into(), at.outgoing, wi);
+        Onward { total, joint }
+    };
+    let lost = onward.joint <= 0.0 || onward.total.value == Vec3::ZERO;
+    if lost { Err(Failure::Back) } else { Ok(onward) }
 }
 
 /// A light point as a vertex samples it.
@@ -555,6 +575,10 @@ impl<'a, F: HitFilter> ShiftMap for PathShift<'a, F> {
         to: &PathReceiver<'a>,
     ) -> Option<Shifted<PathSample, Vec3>> {
         self.counters.shifts += 1;
+        // From a receiver to itself T is the identity, whose F is known.
+        if std::ptr::eq(from, to) {
+            return Some(Shifted { sample: *sample, integrand: sample.integrand, jacobian: 1.0 });
+        }
         match self.try_shift(sample, from, to) {
             Ok(shifted) => Some(shifted),
             Err(failure) => {

@@ -246,7 +246,8 @@ impl<R: RandomSource> Visitor for Tree<'_, R> {
                 light_density: 0.0,
             }),
         };
-        let ending = Ending::Sky { light: end.light };
+        let sky = self.world.lights.environments().position(|(light, _)| light == end.light);
+        let ending = Ending::Sky { sky: sky.unwrap_or(0) as u32 };
         self.stream(number, end.emission * end.share, ending, reconnection);
     }
 }

@@ -14,3 +14,14 @@ impl Policy for InTarget {
         Some(1.0)
     }
 }
+
+/// The same beside an estimate of the pixel that all inputs of its merges correct: noise in colour,
+/// which a reservoir that selects by luminance keeps, averages out.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct InTargetControl;
+
+impl Policy for InTargetControl {
+    const IN_TARGET: bool = true;
+    const DROPS_OCCLUDED: bool = true;
+    const CONTROL: bool = true;
+}

@@ -22,7 +22,7 @@ mod wis;
 
 pub(crate) use bitterli::Bitterli;
 pub(crate) use control_variate::WisControlVariate;
-pub(crate) use in_target::InTarget;
+pub(crate) use in_target::{InTarget, InTargetControl};
 pub(crate) use stored::StoredOutcome;
 pub use stored::{REUSE_AGE, REUSE_DISTANCE, Reused};
 pub(crate) use trace::Trace;

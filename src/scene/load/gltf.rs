@@ -823,6 +823,20 @@ mod tests {
         );
     }
 
+    /// Glass is as rough as its α, the square of glTF's roughness.
+    #[test]
+    fn the_roughness_of_glass_is_squared() {
+        let rest = r#","materials":[{"pbrMetallicRoughness":{"metallicFactor":0,"roughnessFactor":0.5},
+            "extensions":{"KHR_materials_ior":{"ior":1.4},"KHR_materials_volume":{"thicknessFactor":1},
+              "KHR_materials_transmission":{"transmissionFactor":1}}}]"#;
+        let loaded = parse(&file(r#"{"mesh":0}"#, rest)).unwrap();
+        let Material::Dielectric { eta, roughness } = loaded.scene.materials[0] else {
+            panic!("{:?}", loaded.scene.materials[0])
+        };
+        assert_eq!(eta, 1.4);
+        assert_eq!(roughness, crate::scene::Roughness::isotropic(0.25));
+    }
+
     #[test]
     fn textures_are_upright_and_masks_are_thresholds() {
         let rest = format!(

@@ -84,6 +84,16 @@ pub struct BsdfSample {
     pub eta: f32,
 }
 
+impl BsdfSample {
+    /// The density that light sampling of the same direction is weighed against; `None` after a
+    /// delta, which no light sample finds.
+    #[inline(always)]
+    #[must_use]
+    pub fn beside_lights(&self) -> Option<f32> {
+        (!self.delta).then_some(self.pdf)
+    }
+}
+
 /// What a family of lobes answers. Lobe sets are bit masks, so that one lobe and all lobes are the
 /// same code.
 trait Lobes {

@@ -3,21 +3,18 @@
 
 use glam::Vec3;
 
-use super::{RestirDi, constant, kernel};
+use super::{RestirDi, kernel};
 use crate::accel::HitFilter;
 use crate::counters::Counters;
 use crate::math::rng::Purpose;
 use crate::pass::{Band, FrameInputs, PrimaryHit};
 use crate::path::{Limits, finite_or_counted, indirect_radiance, sampled, scattered_radiance};
 use crate::plan::Plan;
-use crate::reuse::light_points::{Candidates, LightPoints, Sources, candidates};
+use crate::reuse::light_points::{LightPoints, PATHS, candidates};
 use crate::reuse::passes::kernel as reuse_kernel;
 use crate::reuse::policy::{Policy, WithPolicy};
 use crate::reuse::{Domain, Reuse};
 use crate::world::WithFilter;
-
-/// Path seeds of other light are numbered from here on, candidates from 0.
-const PATHS: u32 = 1 << 31;
 
 /// Runs a kernel over a band.
 pub(super) fn run(
@@ -97,7 +94,9 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
         let domain = self.light_points::<IN_TARGET>();
         let reuse = Reuse::new(&domain, policy, self.technique.settings());
         match kernel {
-            reuse_kernel::INITIAL => domain.initial(policy, self.sources(), band),
+            reuse_kernel::INITIAL => {
+                domain.initial(policy, self.technique.supply().sources(self.inputs), band)
+            }
             reuse_kernel::TEMPORAL => reuse.temporal(band),
             reuse_kernel::BOILING => reuse.boiling(band),
             reuse_kernel::MUTATE => reuse.mutate(band),
@@ -106,23 +105,11 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
         }
     }
 
-    /// Where candidates come from.
-    fn sources(&self) -> Sources<'a> {
-        let fixed = |name| constant::of(self.inputs.plan, name);
-        let candidates = Candidates {
-            lights: self.technique.candidates,
-            bsdf: fixed(constant::BSDF_SAMPLES),
-            tile: None,
-            surfaces: fixed(constant::EMITTING_SURFACES) != 0,
-        };
-        Sources::new(self.inputs, candidates, fixed(constant::LIGHT_TILES))
-    }
-
     /// Candidates without reuse: F V W of a fresh reservoir.
     fn ris(&self, band: &mut Band<'_>) -> Counters {
         let mut counters = Counters::default();
         let domain = self.light_points::<false>();
-        let (inputs, mut sources) = (self.inputs, self.sources());
+        let (inputs, mut sources) = (self.inputs, self.technique.supply().sources(self.inputs));
         let hits = inputs.read::<PrimaryHit>(Plan::HITS);
         let pixels = band.pixels();
         let radiance: &mut [[f32; 3]] = band.take(Plan::RADIANCE);

@@ -31,7 +31,7 @@ use crate::plan::{BufferPlan, Claim, Plan, SceneFacts, Shot};
 use crate::resampling::{
     ControlVariate, Decoupled, Estimator, Family, Merges, Selected, WeightedVisibility,
 };
-use crate::reuse::light_points::Record;
+use crate::reuse::light_points::{LightTiles, Record, Supply};
 use crate::reuse::parameters::reuse_rows;
 use crate::reuse::passes::Keys;
 use crate::reuse::policy::StoredOutcome;
@@ -115,30 +115,6 @@ pub(super) const RESTIR_DI: Entry = Entry {
     rungs: rungs::RUNGS,
     variants: rungs::variants,
 };
-
-/// Whether light points are made ahead.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum LightTiles {
-    /// From 1,000 lights on, with fewer than 8 estimates or chains a pixel.
-    #[default]
-    Auto,
-    /// Always.
-    On,
-    /// Never.
-    Off,
-}
-
-impl Choice for LightTiles {
-    const ALL: &'static [Self] = &[Self::Auto, Self::On, Self::Off];
-
-    fn name(self) -> &'static str {
-        match self {
-            Self::Auto => "auto",
-            Self::On => "on",
-            Self::Off => "off",
-        }
-    }
-}
 
 /// `ris` ([`RestirDi::ris`]) and `restir-di` ([`RestirDi::default`]).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -316,6 +292,11 @@ impl RestirDi {
         }
     }
 
+    /// Where candidates come from.
+    fn supply(&self) -> Supply {
+        Supply { candidates: self.candidates, bsdf: self.bsdf, tiles: self.tiles }
+    }
+
     /// The limits of [`Visibility::Reuse`].
     fn limits(&self) -> StoredOutcome {
         StoredOutcome { max_age: self.visibility_age, max_distance: self.visibility_distance }
@@ -376,20 +357,6 @@ mod kernel {
     pub(super) const TILES: u32 = 1;
     pub(super) const PATHS: u32 = 2;
     pub(super) const ALL_PATHS: u32 = 3;
-}
-
-/// Names of the plan's constants.
-mod constant {
-    use crate::plan::Plan;
-
-    pub(super) const BSDF_SAMPLES: &str = "bsdf samples";
-    pub(super) const EMITTING_SURFACES: &str = "emitting surfaces";
-    pub(super) const LIGHT_TILES: &str = "light tiles";
-
-    /// The value of a constant, which every plan with a kernel that asks for it has.
-    pub(super) fn of(plan: &Plan, name: &str) -> u32 {
-        plan.constant(name).expect("the plan fixes what its kernels ask for")
-    }
 }
 
 impl Technique for RestirDi {

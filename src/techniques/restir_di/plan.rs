@@ -1,19 +1,11 @@
 //! What runs for a scene, in which order, and what is left out.
 
-use super::{LightTiles, RestirDi, constant, kernel};
-use crate::plan::{Builder, Claim, Domain, Elements, NewPass, Plan, SceneFacts, Shot};
-use crate::reuse::light_points::{Record, TILE, TILES};
+use super::{RestirDi, kernel};
+use crate::plan::{Builder, Claim, NewPass, Plan, SceneFacts, Shot};
+use crate::reuse::light_points::Record;
 use crate::reuse::passes::{self, Initial};
 use crate::reuse::policy::{Policy, WithPolicy};
 use crate::techniques::Technique;
-
-/// Pixels for each light point made ahead, and lights from which that pays.
-const PIXELS_A_TILE_ENTRY: usize = 4;
-const LIGHTS_FOR_TILES: u32 = 1000;
-/// Estimates of a pixel from which each draws from the light table. All of a pixel's estimates draw
-/// from one tile in a frame, so their errors have a part in common, which more of them do not
-/// lessen: on `many_lights`, error times time with 58 estimates was twice that with 2.
-const ESTIMATES_WITHOUT_TILES: u32 = 8;
 
 /// What is left out because of the lights.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -56,7 +48,7 @@ pub(super) fn plan(technique: &RestirDi, facts: &SceneFacts, shot: &Shot) -> Pla
         }
         Light::Many => {}
     }
-    let emitter = add_candidates(technique, &mut plan);
+    let emitter = technique.supply().plan(&mut plan, kernel::TILES);
     let claim = if technique.reuse {
         struct Passes<'a, 'b> {
             plan: &'a mut Builder<'b>,
@@ -71,7 +63,7 @@ pub(super) fn plan(technique: &RestirDi, facts: &SceneFacts, shot: &Shot) -> Pla
                 passes::add::<Record, P>(plan, &technique.settings(), initial);
             }
         }
-        let initial = Initial { rays: [0, 0, emitter], shift_bounces: 0 };
+        let initial = Initial { rays: [0, 0, emitter], shift_bounces: 0, between_frames: 0 };
         let passes = Passes { plan: &mut plan, technique, initial };
         technique.visibility.choose(technique.limits(), passes);
         technique.claim(facts, shot)
@@ -89,51 +81,4 @@ pub(super) fn plan(technique: &RestirDi, facts: &SceneFacts, shot: &Shot) -> Pla
         plan.skip("paths of other light", "the depth is 2 and no lobe is a delta");
     }
     plan.finish(claim)
-}
-
-/// Settles where candidates come from. Gives the emitter rays of an estimate.
-fn add_candidates(technique: &RestirDi, plan: &mut Builder<'_>) -> u64 {
-    let counts = plan.facts.lights;
-    let lights = plan.facts.light_count();
-    let surfaces = counts.triangles + counts.quadrics > 0;
-    let bsdf = if counts.delta < lights { technique.bsdf } else { 0 };
-    if technique.bsdf > 0 && bsdf == 0 {
-        plan.skip("BSDF samples", "no direction meets point, spot and distant lights");
-    }
-    if bsdf > 0 && !surfaces {
-        plan.skip("rays of BSDF samples", "all other lights are environments");
-    }
-    let many_estimates = plan.shot.most_estimates() >= ESTIMATES_WITHOUT_TILES;
-    let tiles = match technique.tiles {
-        LightTiles::On => true,
-        LightTiles::Off => false,
-        LightTiles::Auto => lights >= LIGHTS_FOR_TILES && !many_estimates,
-    };
-    let mut tile_count = 0;
-    if tiles {
-        let entries = plan.shot.pixels().div_ceil(PIXELS_A_TILE_ENTRY) as u32;
-        tile_count = entries.div_ceil(TILE).max(1);
-        let items = tile_count * TILE;
-        let id = plan.buffer(TILES, Elements::Items(items), false);
-        let domain = Domain::Items(items);
-        plan.pass(NewPass { domain, ..NewPass::pixels("light tiles", kernel::TILES, vec![id]) });
-    } else if technique.tiles == LightTiles::Auto {
-        plan.skip(
-            "light points made ahead",
-            if many_estimates {
-                "8 estimates of a pixel or more would share them"
-            } else {
-                "there are fewer than 1,000 lights"
-            },
-        );
-    }
-    plan.constant(constant::BSDF_SAMPLES, bsdf);
-    plan.constant(constant::EMITTING_SURFACES, surfaces.into());
-    plan.constant(constant::LIGHT_TILES, tile_count);
-    if bsdf > 0 && surfaces {
-        plan.need_emitters();
-        u64::from(bsdf)
-    } else {
-        0
-    }
 }

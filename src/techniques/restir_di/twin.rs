@@ -1,23 +1,15 @@
 //! The kernels' twins for graphics processors: which WGSL they are made of, and its constants.
 
-use super::{RestirDi, constant, kernel};
+use super::{RestirDi, kernel};
 use crate::plan::Plan;
 use crate::reuse::light_points::Record;
-use crate::reuse::light_points::twin::{CandidateSettings, domain, initial, receivers};
+use crate::reuse::light_points::twin::{domain, initial, receivers};
 use crate::reuse::twin::{TwinSettings, flag, twin};
 use crate::twin::Twin;
 
 impl RestirDi {
     pub(super) fn kernel_twin(&self, kernel: u32, plan: &Plan) -> Twin {
-        let candidates = || {
-            let fixed = |name| constant::of(plan, name);
-            CandidateSettings {
-                lights: self.candidates,
-                bsdf: fixed(constant::BSDF_SAMPLES),
-                surfaces: fixed(constant::EMITTING_SURFACES) != 0,
-                tiles: fixed(constant::LIGHT_TILES),
-            }
-        };
+        let candidates = || self.supply().supplied(plan);
         match kernel {
             kernel::TILES => candidates().tiles(plan),
             kernel::RIS => {

@@ -3,14 +3,15 @@
 //!
 //! | pass | reads | writes |
 //! |---|---|---|
-//! | initial | hits | reservoirs: a path of each walk |
+//! | light tiles | lights | light points made ahead, for many lights |
+//! | initial | hits | reservoirs: a light point of the candidates or a path of the walks; estimates: the light of all of them |
 //! | temporal | reservoirs, the last frame's `history` | reservoirs, in place |
 //! | boiling | reservoirs of a tile | reservoirs, in place; off by default, biased |
 //! | spatial | reservoirs | `history` (the last round, which also shades) |
 //! | shade | reservoirs | radiance, where there is no spatial pass |
 //!
-//! What a shift keeps of a path behind its reconnection vertex is copied, so history is used only
-//! where neither lights nor geometry move; a moving camera is fine.
+//! What lies behind a path's reconnection vertex is traced again in the other frame where lights or
+//! geometry move, and copied where only the camera does.
 
 mod rungs;
 
@@ -18,12 +19,14 @@ use crate::accel::HitFilter;
 use crate::counters::Counters;
 use crate::error::{Error, Result};
 use crate::pass::{Band, FrameInputs};
+use crate::path::Limits;
 use crate::plan::{BufferPlan, Builder, Claim, Plan, SceneFacts, Shot};
-use crate::resampling::{Decoupled, Estimator, Merges, Selected};
+use crate::resampling::{ControlVariate, Decoupled, Estimator, Merges, Selected};
+use crate::reuse::light_points::{LightPoints, LightTiles, Supply};
 use crate::reuse::parameters::reuse_rows;
-use crate::reuse::passes::{self, Initial, Keys, kernel};
-use crate::reuse::paths::{Connects, MOST_SEGMENTS, PathRecord, Paths};
-use crate::reuse::policy::InTarget;
+use crate::reuse::passes::{self, Initial, Keys, kernel as reuse_kernel};
+use crate::reuse::paths::{Connects, Fresh, MOST_SEGMENTS, PathRecord, Paths};
+use crate::reuse::policy::{InTarget, InTargetControl, Policy};
 use crate::reuse::{Reuse, Settings};
 use crate::spec::{self, Choice, Row, row};
 use crate::techniques::{Entry, Technique};
@@ -31,6 +34,64 @@ use crate::world::WithFilter;
 
 /// The bits of the least distance of a connection, as an f32.
 const DISTANCE: &str = "least distance of a connection, bits";
+/// Walks a chain.
+const WALKS: &str = "walks";
+/// Whether what lies behind a connection is traced again in another frame.
+const RETRACES: &str = "paths are traced again behind their connections";
+
+/// Where direct light comes from: light that comes straight to the primary hit and leaves it by a
+/// lobe that is not a delta.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Direct {
+    /// From candidates as in `restir-di`, in the same reservoir as all other paths.
+    #[default]
+    Union,
+    /// From the walks.
+    Tree,
+}
+
+impl Choice for Direct {
+    const ALL: &'static [Self] = &[Self::Union, Self::Tree];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Union => "union",
+            Self::Tree => "tree",
+        }
+    }
+}
+
+/// What is shown of a pixel, with m, F, W and \|∂T\| those of the inputs of its last merge.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Shade {
+    /// F W of the path that was selected.
+    Selected,
+    /// Σ m F W \|∂T\|: all of them, with less noise in colour.
+    Decoupled,
+    /// C̄ = Σ m F W \|∂T\| + a (C̄ − F̃): all of them correct an estimate that is kept beside the
+    /// reservoir, with F̃ = F W of the sample that C̄ was kept with and a the history's share of
+    /// confidence; it begins with all light of the pixel's own walks (Tokuyoshi 2024, whose
+    /// estimator is for visibility).
+    #[default]
+    Control,
+}
+
+impl Choice for Shade {
+    const ALL: &'static [Self] = &[Self::Selected, Self::Decoupled, Self::Control];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Selected => "selected",
+            Self::Decoupled => "decoupled",
+            Self::Control => "control",
+        }
+    }
+}
+
+/// Numbers of the technique's own kernels; those of reuse are [`crate::reuse::passes::kernel`].
+mod kernel {
+    pub(super) const TILES: u32 = 0;
+}
 
 fn rows() -> Vec<Row<RestirPt>> {
     let mut rows = vec![
@@ -46,9 +107,40 @@ fn rows() -> Vec<Row<RestirPt>> {
             roulette_after: 0..=1000,
             "scatterings before Russian roulette may end a walk"
         ),
+        row!(
+            RestirPt,
+            "direct",
+            choice direct: Direct,
+            "direct light: from candidates as in restir-di, in the same reservoir as all other light, or from the walks"
+        ),
+        row!(
+            RestirPt,
+            "candidates",
+            candidates: 1..=1024,
+            "with direct=union, light samples a pixel, frame and chain"
+        ),
+        row!(
+            RestirPt,
+            "bsdf",
+            bsdf: 0..=64,
+            "with direct=union, BSDF samples a pixel, frame and chain; a ray each"
+        ),
+        row!(
+            RestirPt,
+            "tiles",
+            choice tiles: LightTiles,
+            "with direct=union, light points made ahead in tiles that fit the cache"
+        ),
+        row!(
+            RestirPt,
+            "shade",
+            choice shade: Shade,
+            "what is shown: the selected path, all inputs of the last merge, or an estimate that all of them correct, with the least noise in colour for 8 bytes"
+        ),
     ];
-    // Paths are not mutated.
-    rows.extend(reuse_rows!(RestirPt, reuse).into_iter().filter(|row| row.key != "mutations"));
+    // Paths are not mutated, and `shade` says how they are shown.
+    let ours = |row: &Row<RestirPt>| !["mutations", "decoupled"].contains(&row.key);
+    rows.extend(reuse_rows!(RestirPt, reuse).into_iter().filter(ours));
     rows
 }
 
@@ -70,14 +162,38 @@ pub struct RestirPt {
     pub trees: u32,
     /// Scatterings before Russian roulette may end a walk, in [0, 1000].
     pub roulette_after: u32,
-    /// Of reuse; paths are not mutated, so `mutations` must be 0.
+    /// Where direct light comes from.
+    pub direct: Direct,
+    /// With [`Direct::Union`], light samples a pixel, frame and chain, in [1, 1024].
+    ///
+    /// More is less noise for more time.
+    pub candidates: u32,
+    /// With [`Direct::Union`], BSDF samples a pixel, frame and chain, in [0, 64].
+    ///
+    /// They find large lights on glossy surfaces, for a ray each.
+    pub bsdf: u32,
+    /// With [`Direct::Union`], whether light points are made ahead in tiles that fit the cache.
+    pub tiles: LightTiles,
+    /// What is shown.
+    pub shade: Shade,
+    /// Of reuse; paths are not mutated, so `mutations` must be 0, and `shade` stands for
+    /// `decoupled`, which must be false.
     pub reuse: Settings,
 }
 
 impl Default for RestirPt {
     /// The unbiased preset.
     fn default() -> Self {
-        Self { trees: 1, roulette_after: 5, reuse: Settings::default() }
+        Self {
+            trees: 1,
+            roulette_after: 5,
+            direct: Direct::Union,
+            candidates: 8,
+            bsdf: 1,
+            tiles: LightTiles::Auto,
+            shade: Shade::Control,
+            reuse: Settings::default(),
+        }
     }
 }
 
@@ -94,26 +210,41 @@ impl RestirPt {
     pub fn validate(&self) -> Result<()> {
         spec::check(&rows(), self)?;
         let Settings { decoupled, neighbours, mutations, .. } = self.reuse;
+        let Self { candidates, bsdf, tiles, .. } = Self::default();
+        if self.direct != Direct::Union
+            && (self.candidates, self.bsdf, self.tiles) != (candidates, bsdf, tiles)
+        {
+            return Err(Error::usage(format!(
+                "`candidates`, `bsdf` and `tiles` need `direct=union`, but it is `{}`",
+                self.direct.name()
+            )));
+        }
         if mutations > 0 {
             return Err(Error::usage(format!(
                 "`mutations` is {mutations}, but paths are not mutated: it must be 0"
             )));
         }
-        if decoupled && neighbours == 0 {
+        if decoupled {
+            return Err(Error::usage("`decoupled` is true, but `shade` says what is shown"));
+        }
+        if self.shade == Shade::Decoupled && neighbours == 0 {
             return Err(Error::usage(
-                "`decoupled=true` shades with all inputs of the last spatial merge, but `neighbours` is 0; set it to at least 1",
+                "`shade=decoupled` shows all inputs of the last spatial merge, but `neighbours` is 0; set it to at least 1",
             ));
         }
         Ok(())
     }
 
-    /// The parameters of the passes of reuse on a scene: without history where its lights or
-    /// geometry move.
-    fn settings(&self, copies: bool) -> Settings {
-        Settings { cap: if copies { self.reuse.cap } else { 0 }, ..self.reuse }
+    fn supply(&self) -> Supply {
+        Supply { candidates: self.candidates, bsdf: self.bsdf, tiles: self.tiles }
     }
 
-    fn claim(&self, settings: &Settings, still: bool, depth: u32) -> Claim {
+    fn settings(&self) -> Settings {
+        Settings { decoupled: self.shade == Shade::Decoupled, ..self.reuse }
+    }
+
+    fn claim(&self, still: bool, depth: u32) -> Claim {
+        let settings = &self.reuse;
         let (temporal, spatial) = (settings.cap > 0, settings.neighbours > 0);
         let whole =
             |partition: bool, terms: bool| (!spatial || partition) && (!temporal || still || terms);
@@ -132,8 +263,11 @@ impl RestirPt {
             drops_occluded: false,
             sample_blind: settings.max_age == 0,
         };
-        let claim =
-            if settings.decoupled { Decoupled::claim(&merges) } else { Selected::claim(&merges) };
+        let claim = match self.shade {
+            Shade::Selected => Selected::claim(&merges),
+            Shade::Decoupled => Decoupled::claim(&merges),
+            Shade::Control => ControlVariate::claim(&merges),
+        };
         let mut reasons = match claim {
             Claim::Biased(why) => vec![why],
             _ => Vec::new(),
@@ -167,20 +301,39 @@ impl Technique for RestirPt {
             plan.skip("paths and reservoirs", because);
             return plan.finish(Claim::Unbiased);
         }
-        let copies = !(facts.moving_lights || facts.moving_geometry);
-        let settings = self.settings(copies);
-        if self.reuse.cap > 0 && !copies {
-            plan.skip(
-                "temporal reuse",
-                "lights or geometry move, and what lies behind a reconnection is not traced again",
-            );
-        }
         plan.constant(DISTANCE, Connects::of_diagonal(facts.diagonal).distance.to_bits());
         let scatterings = u64::from(shot.depth) - 1;
-        let walks = u64::from(self.trees) * scatterings;
-        let initial = Initial { rays: [walks, walks, 0], shift_bounces: scatterings };
-        passes::add::<PathRecord, InTarget>(&mut plan, &settings, initial);
-        plan.finish(self.claim(&settings, facts.is_still(shot), shot.depth))
+        let direct = self.direct == Direct::Union;
+        let walks = if direct && shot.depth == 2 && !facts.delta_lobes {
+            plan.skip("paths of other light", "the depth is 2 and no lobe is a delta");
+            0
+        } else {
+            self.trees
+        };
+        plan.constant(WALKS, walks);
+        let emitter = if direct { self.supply().plan(&mut plan, kernel::TILES) } else { 0 };
+        let walks = u64::from(walks) * scatterings;
+        let retraces = facts.moving_lights || facts.moving_geometry;
+        plan.constant(RETRACES, retraces.into());
+        if self.reuse.cap > 0 && !retraces {
+            plan.skip(
+                "tracing paths again behind their connections",
+                "neither lights nor geometry move",
+            );
+        }
+        let initial = Initial {
+            rays: [walks, walks, emitter],
+            shift_bounces: scatterings,
+            between_frames: retraces.into(),
+        };
+        let settings = self.settings();
+        match self.shade {
+            Shade::Control => {
+                passes::add::<PathRecord, InTargetControl>(&mut plan, &settings, initial);
+            }
+            _ => passes::add::<PathRecord, InTarget>(&mut plan, &settings, initial),
+        }
+        plan.finish(self.claim(facts.is_still(shot), shot.depth))
     }
 
     fn run(&self, kernel: u32, inputs: &FrameInputs<'_>, band: &mut Band<'_>) -> Counters {
@@ -209,17 +362,44 @@ impl WithFilter for Call<'_, '_, '_> {
 
     fn run<F: HitFilter + Sync>(self, filter: F) -> Counters {
         let Call { technique, kernel, inputs, band } = self;
-        let bits = inputs.plan.constant(DISTANCE).expect("the plan fixes what its kernels ask for");
-        let connects = Connects { distance: f32::from_bits(bits), roughness: Connects::ROUGHNESS };
-        let paths = Paths { frame: inputs, filter: &filter, connects };
-        let reuse = Reuse::new(&paths, InTarget, technique.reuse);
-        match kernel {
-            kernel::INITIAL => paths.initial(technique.trees, technique.roulette_after, band),
-            kernel::TEMPORAL => reuse.temporal(band),
-            kernel::BOILING => reuse.boiling(band),
-            kernel::SHADE => reuse.shade(band),
-            round => reuse.spatial(round - kernel::SPATIAL, band),
+        let fixed = |name| inputs.plan.constant(name).expect("the plan fixes what kernels ask for");
+        let distance = f32::from_bits(fixed(DISTANCE));
+        let connects = Connects { distance, roughness: Connects::ROUGHNESS };
+        let retraces = fixed(RETRACES) != 0;
+        let paths = Paths { frame: inputs, filter: &filter, connects, retraces };
+        if kernel == kernel::TILES {
+            let large_steps = 0.0;
+            let points = LightPoints::<F, true> { frame: inputs, filter: &filter, large_steps };
+            return points.tiles(band);
         }
+        if kernel == reuse_kernel::INITIAL {
+            let limits = Limits {
+                depth: inputs.shot.depth.min(MOST_SEGMENTS),
+                roulette_after: technique.roulette_after,
+            };
+            let direct =
+                (technique.direct == Direct::Union).then(|| technique.supply().sources(inputs));
+            return paths.initial(Fresh { walks: fixed(WALKS), limits, direct }, band);
+        }
+        let settings = technique.settings();
+        match technique.shade {
+            Shade::Control => reused(&Reuse::new(&paths, InTargetControl, settings), kernel, band),
+            _ => reused(&Reuse::new(&paths, InTarget, settings), kernel, band),
+        }
+    }
+}
+
+/// One of the passes that are the same for all domains.
+fn reused<F: HitFilter + Sync, P: Policy>(
+    reuse: &Reuse<'_, Paths<'_, F>, P>,
+    kernel: u32,
+    band: &mut Band<'_>,
+) -> Counters {
+    match kernel {
+        reuse_kernel::TEMPORAL => reuse.temporal(band),
+        reuse_kernel::BOILING => reuse.boiling(band),
+        reuse_kernel::SHADE => reuse.shade(band),
+        round => reuse.spatial(round - reuse_kernel::SPATIAL, band),
     }
 }
 
@@ -247,8 +427,13 @@ mod tests {
             (RestirPt { trees: 0, ..d }, "`trees` is `0`, but must be an integer in [1, 1024]"),
             (RestirPt { reuse: Settings { rounds: 9, ..reuse }, ..d }, "in [1, 8]"),
             (RestirPt { reuse: Settings { mutations: 1, ..reuse }, ..d }, "it must be 0"),
+            (RestirPt { reuse: Settings { decoupled: true, ..reuse }, ..d }, "but `shade` says"),
             (
-                RestirPt { reuse: Settings { decoupled: true, neighbours: 0, ..reuse }, ..d },
+                RestirPt {
+                    shade: Shade::Decoupled,
+                    reuse: Settings { neighbours: 0, ..reuse },
+                    ..d
+                },
                 "but `neighbours` is 0",
             ),
         ] {

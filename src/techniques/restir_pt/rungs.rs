@@ -6,7 +6,8 @@ use crate::techniques::{Moving, Rung};
 
 /// From trees alone to all of reuse under a moving camera.
 pub(super) const RUNGS: &[Rung] = &[
-    Rung::new("initial", "cap=0,neighbours=0", Moving::Still),
+    Rung::new("initial", "cap=0,neighbours=0,shade=selected", Moving::Still),
+    Rung::new("initial, tree", "cap=0,neighbours=0,shade=selected,direct=tree", Moving::Still),
     Rung::new("roulette at once", "cap=0,neighbours=0,roulette=1", Moving::Still),
     Rung::new("spatial, constant", "cap=0,mis=constant", Moving::Still),
     Rung::new("spatial, inverse-count", "cap=0,mis=inverse-count", Moving::Still),
@@ -16,11 +17,15 @@ pub(super) const RUNGS: &[Rung] = &[
     Rung::new("spatial, defensive", "cap=0,mis=defensive", Moving::Still),
     Rung::new("temporal", "neighbours=0", Moving::Still),
     Rung::new("full", "", Moving::Still),
+    Rung::new("full, tree", "direct=tree", Moving::Still),
     Rung::new("every pixel", "mature=0", Moving::Still),
-    Rung::new("decoupled", "decoupled=true,mature=0", Moving::Still),
+    Rung::new("selected", "shade=selected,mature=0", Moving::Still),
+    Rung::new("decoupled", "shade=decoupled,mature=0", Moving::Still),
     Rung::new("moving camera", "", Moving::Camera),
     Rung::new("moving light", "", Moving::Light),
     Rung::new("moving occluder", "", Moving::Occluder),
+    Rung::new("all moves", "", Moving::All),
+    Rung::new("all moves, selected", "shade=selected", Moving::All),
 ];
 
 /// Every family of MIS weights, every filter.
@@ -34,9 +39,12 @@ pub(super) fn variants() -> Vec<String> {
         "cap=0",
         "neighbours=0",
         "trees=3",
+        "direct=tree",
+        "tiles=on,candidates=4,bsdf=2",
         "spatial=display,rounds=2",
         "taps=random,mature=4",
-        "decoupled=true",
+        "shade=decoupled",
+        "shade=selected",
         "boiling=0.2,max-age=60",
     ] {
         all.push(keys.to_string());

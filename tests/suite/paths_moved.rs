@@ -1,0 +1,196 @@
+//! Paths between two frames whose lights and surfaces have moved.
+
+use afterimage::accel::AcceptAll;
+use afterimage::frame::Stage;
+use afterimage::math::rng::{Stream, path_seed};
+use afterimage::resampling::{Family, ShiftMap, Shifted};
+use afterimage::reuse::light_points::Time;
+use afterimage::reuse::paths::{Anchor, Failure, PathReceiver, PathSample, PathShift};
+use afterimage::scene::{LightKind, Scene, Transform};
+use afterimage::world::Motion;
+use glam::{Affine3A, Quat, Vec3};
+
+use crate::paths::{Bugged, CONNECTS, drawn, merged_against_traced, receivers_at, rooms};
+use crate::support::light;
+
+const SIZE: [u32; 2] = [24, 16];
+
+/// The numbers of `room`'s instances; the walls before this one are the floor and the ceiling.
+const BACK_WALL: usize = 2;
+const GLOSSY_BALL: usize = 5;
+const LAMP: usize = 8;
+const LAMP_BALL: usize = 9;
+
+fn place(scene: &mut Scene, instance: usize, to_world: Affine3A) {
+    scene.instances[instance].to_world = Transform::Fixed(to_world);
+}
+
+/// The next frame of a room: surfaces have moved, turned and grown, one is gone and one has come,
+/// a light stands before the others in the table, and others are brighter.
+fn moved(scene: &Scene) -> Scene {
+    let mut scene = scene.clone();
+    place(&mut scene, GLOSSY_BALL, Affine3A::from_translation(Vec3::new(0.05, 0.0, -0.1)));
+    let turn = Quat::from_rotation_z(0.05);
+    let grow = Affine3A::from_scale_rotation_translation(
+        Vec3::new(1.4, 1.0, 1.2),
+        turn,
+        Vec3::new(0.1, -0.05, 0.0),
+    );
+    place(&mut scene, LAMP, grow);
+    let wall = Affine3A::from_scale_rotation_translation(
+        Vec3::new(1.3, 1.2, 1.0),
+        Quat::IDENTITY,
+        Vec3::new(0.0, -0.1, -0.05),
+    );
+    place(&mut scene, BACK_WALL, wall);
+    // Gone under its key.
+    scene.instances[LAMP_BALL].key = 1 << 40;
+    scene
+}
+
+/// Both frames' worlds of a room, and what leads from one to the other.
+fn frames(before: &Scene, now: &Scene) -> (Stage, Stage, Motion) {
+    let stages = [before, now].map(|scene| Stage::new(scene.clone()).unwrap());
+    let [before, now] = stages;
+    let motion = Motion::new(before.first_world(), now.first_world(), SIZE);
+    (before, now, motion)
+}
+
+fn pairs() -> Vec<(Scene, Scene)> {
+    rooms()
+        .into_iter()
+        .map(|scene| {
+            let mut now = moved(&scene);
+            let place = Affine3A::from_translation(Vec3::new(-0.5, 1.0, -0.8));
+            light(&mut now, LightKind::Point { intensity: Vec3::splat(0.2) }, place);
+            // The new light comes first, so every other one has another number.
+            let last = now.lights.len() - 1;
+            now.lights.swap(0, last);
+            (scene, now)
+        })
+        .collect()
+}
+
+/// Where nothing has moved, what is traced again is what was kept, to the bit.
+#[test]
+fn what_is_traced_again_in_the_same_world_is_the_same() {
+    let (mut same, mut behind) = (0, 0);
+    for scene in rooms() {
+        let (before, now, motion) = frames(&scene, &scene);
+        let [before, now] = [&before, &now].map(|stage| stage.first_world());
+        let sources = receivers_at(before, Time::Before);
+        let all = receivers_at(now, Time::Now);
+        let mut random = Stream::from_key(21);
+        let make = |again| PathShift::new(&AcceptAll, CONNECTS, Some(&motion)).retracing(again);
+        let [mut copies, mut traces] = [make(false), make(true)];
+        for (pixel, from) in sources.iter().enumerate() {
+            for walk in 0..16 {
+                let seed = path_seed(21, pixel as u32, 0, walk);
+                let Some(sample) = drawn(before, from, seed, &mut random).sample else { continue };
+                let to = &all[(pixel + walk as usize % 3) % all.len()];
+                let [copied, traced] =
+                    [&mut copies, &mut traces].map(|map| map.try_shift(&sample, from, to));
+                let (Ok(copied), Ok(traced)) = (copied, traced) else {
+                    // What fails for several reasons says the one that is asked first.
+                    assert_eq!(copied.is_err(), traced.is_err(), "{sample:?}");
+                    continue;
+                };
+                assert_eq!(copied.sample, traced.sample);
+                assert_eq!(copied.jacobian.to_bits(), traced.jacobian.to_bits());
+                same += 1;
+                let kept = sample.reconnection;
+                behind += u32::from(kept.is_some_and(|kept| kept.vertex <= sample.last));
+            }
+        }
+        let rays = [copies, traces].map(|map| map.counters.bounce_rays);
+        assert!(rays[1] > rays[0], "{rays:?}");
+    }
+    assert!(same > 3000 && behind > 1000, "{same} shifts, {behind} with something behind");
+}
+
+/// T and its inverse between the frames.
+#[test]
+fn round_trips_between_frames() {
+    let mut failures = [0; Failure::COUNT];
+    let (mut defined, mut lost, mut grown, mut worst) = (0, 0, 0, 0.0_f32);
+    for (before, now) in pairs() {
+        let (before, now, motion) = frames(&before, &now);
+        let worlds = [&before, &now].map(|stage| stage.first_world());
+        let times = [Time::Before, Time::Now];
+        let all = [0, 1].map(|at| receivers_at(worlds[at], times[at]));
+        let mut random = Stream::from_key(22);
+        let mut shift = PathShift::new(&AcceptAll, CONNECTS, Some(&motion)).retracing(true);
+        for (source, there) in [(0, 1), (1, 0)] {
+            for (pixel, from) in all[source].iter().enumerate() {
+                for walk in 0..24 {
+                    let seed = path_seed(22, pixel as u32, 0, walk);
+                    let drawn = drawn(worlds[source], from, seed, &mut random);
+                    let Some(sample) = drawn.sample else { continue };
+                    let Ok(own) = shift.try_shift(&sample, from, from) else { continue };
+                    let to =
+                        &all[there][(pixel + [0, 1, 24][walk as usize % 3]) % all[there].len()];
+                    let Some(shifted) = shift.shift(&own.sample, from, to) else { continue };
+                    defined += 1;
+                    assert_eq!(shift.stratum(&shifted.sample), shift.stratum(&sample));
+                    let Some(back) = shift.shift(&shifted.sample, to, from) else {
+                        lost += 1;
+                        continue;
+                    };
+                    let product = (back.jacobian * shifted.jacobian - 1.0).abs();
+                    worst = worst.max(product);
+                    assert!(product < 1e-4, "{product}: {own:?} {shifted:?} {back:?}");
+                    let error = (back.integrand - own.integrand).abs().max_element();
+                    let most = own.integrand.max_element();
+                    assert!(error <= 1e-5 * most, "{own:?} {shifted:?} {back:?}");
+                    grown += u32::from((shifted.jacobian - 1.0).abs() > 0.1);
+                }
+            }
+        }
+        (0..Failure::COUNT).for_each(|at| failures[at] += shift.failures[at]);
+    }
+    println!("{defined} defined, {lost} lost, worst {worst:e}, {grown} grown, {failures:?}");
+    assert_eq!(lost, 0);
+    assert!(defined > 3000 && grown > 300, "{defined} defined, {grown} grown");
+    for reason in [Failure::ObjectGone, Failure::LightGone, Failure::Length, Failure::Occluded] {
+        assert!(failures[reason as usize] > 0, "{reason:?}: {failures:?}");
+    }
+}
+
+/// What a pixel shows that merges the path of the previous frame is what its own paths show: with
+/// another world's light behind the connection, or without the ratio of areas, it is not.
+#[test]
+fn merges_with_the_previous_frame_are_unbiased() {
+    let (before, now) = pairs().swap_remove(0);
+    let mut stretched = before.clone();
+    let wide = Affine3A::from_scale(Vec3::new(2.5, 1.0, 1.0));
+    (0..=BACK_WALL).for_each(|wall| place(&mut stretched, wall, wide));
+    type Bug = fn(&mut Shifted<PathSample, Vec3>, &PathReceiver<'_>);
+    let run = |before: &Scene, now: &Scene, again, bug: Bug| {
+        let (before, now, motion) = frames(before, now);
+        let map = PathShift::new(&AcceptAll, CONNECTS, Some(&motion)).retracing(again);
+        let worlds = [&before, &now].map(|stage| stage.first_world());
+        let here: Vec<_> = receivers_at(worlds[1], Time::Now).into_iter().step_by(7).collect();
+        let there = receivers_at(worlds[0], Time::Before);
+        // Nearby.
+        let past: Vec<_> = (0..here.len()).map(|at| there[(7 * at + 1) % there.len()]).collect();
+        merged_against_traced(&mut Bugged(map, bug), (&here, &past), Family::Balance, 2400)
+    };
+    for (name, other) in [("moved", &now), ("stretched", &stretched)] {
+        let (t, bias) = run(&before, other, true, |_, _| ());
+        println!("{name}: t {t:.2}, bias {:.3} %", 100.0 * bias);
+        assert!(t.abs() < 4.5, "{name}: t {t}, bias {bias}");
+    }
+    let (t, bias) = run(&before, &now, false, |_, _| ());
+    println!("light of the other world: t {t:.2}, bias {:.3} %", 100.0 * bias);
+    assert!(t.abs() > 4.5, "the control must fail: t {t}, bias {bias}");
+    let (t, bias) = run(&before, &stretched, true, |shifted, to| {
+        let anchor = shifted.sample.reconnection.map(|kept| kept.anchor);
+        if let Some(Anchor::Surface(hit)) = anchor
+            && hit.instance as usize <= BACK_WALL
+        {
+            shifted.jacobian /= if to.time == Time::Now { 2.5 } else { 1.0 / 2.5 };
+        }
+    });
+    println!("without the ratio of areas: t {t:.2}, bias {:.3} %", 100.0 * bias);
+    assert!(t.abs() > 4.5, "the control must fail: t {t}, bias {bias}");
+}
