@@ -186,11 +186,18 @@ impl<'a> Similar<'a> {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
+    use glam::Affine3A;
+
     use super::*;
-    use crate::frame::Stage;
-    use crate::plan::{Filter, Shot};
-    use crate::scene::Scene;
-    use crate::techniques::parse;
+    use crate::counters::Counters;
+    use crate::error::Result;
+    use crate::frame::{FrameLoop, Stage};
+    use crate::pass::Band;
+    use crate::plan::{BufferKey, Builder, Claim, Elements, Filter, NewPass, SceneFacts, Shot};
+    use crate::scene::{Color, Geometry, Material, Scene, Shape, Transform};
+    use crate::techniques::{Technique, parse};
 
     #[test]
     fn normals_come_back_to_a_ten_thousandth() {
@@ -285,5 +292,166 @@ mod tests {
             assert!(mx == 0 || (0..64).any(|x| without(without(x)) != x));
         }
         assert!((14.0..=17.0).contains(&farthest), "{farthest}");
+    }
+
+    /// Shows of each pixel which pixel of the previous frame had its surface, and how far the
+    /// direction of that pixel's ray is from what it was said to be.
+    #[derive(Debug)]
+    struct Reprojected;
+
+    const DIRECTIONS: BufferKey<[f32; 3]> = BufferKey::new("directions");
+
+    impl Technique for Reprojected {
+        fn spec(&self) -> String {
+            "reprojected".into()
+        }
+
+        fn validate(&self) -> Result<()> {
+            Ok(())
+        }
+
+        fn plan(&self, facts: &SceneFacts, shot: &Shot) -> Plan {
+            let mut plan = Builder::new(self.spec(), facts, shot);
+            plan.primary_hits();
+            plan.keep_history(Plan::HITS);
+            let normals = plan.buffer(NORMALS, Elements::Pixels, true);
+            let directions = plan.buffer(DIRECTIONS, Elements::Pixels, true);
+            plan.pass(NewPass::pixels("surfaces", 0, vec![normals, directions]));
+            plan.pass(NewPass::pixels("reprojected", 1, vec![Plan::RADIANCE]));
+            plan.finish(Claim::Unbiased)
+        }
+
+        fn run(&self, kernel: u32, inputs: &FrameInputs<'_>, band: &mut Band<'_>) -> Counters {
+            let hits = inputs.read::<PrimaryHit>(Plan::HITS);
+            let normal = |hit: &Hit| inputs.world.surface(hit).frame.normal;
+            let pixels = band.pixels();
+            if kernel == 0 {
+                let normals: &mut [u32] = band.take(inputs.id(NORMALS));
+                let directions: &mut [[f32; 3]] = band.take(inputs.id(DIRECTIONS));
+                for ((pixel, out), direction) in pixels.zip(normals).zip(directions) {
+                    let hit = hits[pixel.index as usize].get();
+                    *out = hit.map_or(0, |hit| pack_normal(normal(&hit)));
+                    *direction = inputs.primary_direction(pixel).to_array();
+                }
+                return Counters::default();
+            }
+            let radiance: &mut [[f32; 3]] = band.take(Plan::RADIANCE);
+            for (pixel, out) in pixels.zip(radiance) {
+                let found = hits[pixel.index as usize]
+                    .get()
+                    .and_then(|hit| reproject(inputs, &hit, normal(&hit), pixel));
+                *out = match found {
+                    None => [-1.0; 3],
+                    Some((there, _)) => {
+                        let was = Vec3::from(inputs.at_previous(DIRECTIONS)[there.index as usize]);
+                        let said = inputs.primary_direction_before(there).unwrap();
+                        [there.x as f32, there.y as f32, (was - said).length()]
+                    }
+                };
+            }
+            Counters::default()
+        }
+    }
+
+    const SIZE: [u32; 2] = [40, 20];
+
+    /// Walls, each a disk by its centre, normal and radius, before a camera at the origin that looks
+    /// along z and whose pixels are a unit wide at z = 10.
+    fn walls(walls: &[(Vec3, Vec3, f32)]) -> Scene {
+        let mut scene = Scene::new("walls");
+        let reflectance = Color::Constant(Vec3::ONE);
+        let white = scene.add_material(Material::Diffuse { reflectance });
+        for (center, normal, radius) in walls {
+            let (center, normal, radius) = (*center, normal.normalize(), *radius);
+            scene.add_shape(Shape::new(Geometry::Disk { center, normal, radius }, white));
+        }
+        scene.camera.to_world = Transform::IDENTITY;
+        scene.camera.fov = 2.0 * 1.0_f32.atan();
+        scene
+    }
+
+    /// What each pixel of the second frame finds; the first is `before`.
+    fn reprojected(before: Scene, now: Scene, filter: Filter) -> Vec<Vec3> {
+        let stage = Stage::moving(before.clone()).unwrap();
+        let shot = Shot { size: SIZE, depth: 2, filter, run: 5, effort: 1.0, fps: 30 };
+        let mut frames = FrameLoop::new(Arc::new(Reprojected), &stage, shot).unwrap();
+        frames.render_scene(before).unwrap();
+        frames.render_scene(now).unwrap().picture().pixels
+    }
+
+    fn moved(affine: Affine3A) -> Transform {
+        Transform::Fixed(affine)
+    }
+
+    /// A wall that moves 2.25 pixels to the right was 3 pixels to the left of a quarter of its
+    /// pixels, and 2 of the others; columns stay.
+    #[test]
+    fn a_surface_is_looked_for_where_it_was() {
+        let before = walls(&[(Vec3::Z * 10.0, Vec3::NEG_Z, 1000.0)]);
+        let mut now = before.clone();
+        now.instances[0].to_world = moved(Affine3A::from_translation(Vec3::X * 2.25));
+        let mut steps = [0, 0];
+        for (at, found) in reprojected(before, now, Filter::Point).iter().enumerate() {
+            let (x, y) = ((at % 40) as f32, (at / 40) as f32);
+            if x < 4.0 {
+                continue;
+            }
+            let step = x - found.x;
+            assert!((step == 2.0 || step == 3.0) && found.y == y, "({x}, {y}) was at {found}");
+            steps[usize::from(step == 3.0)] += 1;
+        }
+        // 720 pixels, of which 180 +- 12.
+        assert!((130..230).contains(&steps[1]), "{steps:?}");
+    }
+
+    /// A camera that goes back sees all surfaces farther away; they are compared with what they were
+    /// at, from where the camera was.
+    #[test]
+    fn depths_are_compared_from_where_the_camera_was() {
+        let before = walls(&[(Vec3::Z * 10.0, Vec3::NEG_Z, 1000.0)]);
+        let mut now = before.clone();
+        now.camera.to_world = moved(Affine3A::from_translation(Vec3::Z * -2.0));
+        let middle = |found: &[Vec3]| {
+            (0..800)
+                .filter(|at| (10..30).contains(&(at % 40)) && (5..15).contains(&(at / 40)))
+                .filter(|at| found[*at].x >= 0.0)
+                .count()
+        };
+        assert_eq!(middle(&reprojected(before.clone(), now, Filter::Point)), 200);
+        // The control: a wall that was another one's place.
+        let mut other = before.clone();
+        other.instances[0].key = 77;
+        assert_eq!(middle(&reprojected(before, other, Filter::Point)), 0);
+    }
+
+    /// Along a corner that goes by, each wall finds itself, by the normals of the previous frame; the
+    /// directions of the previous frame are what they are said to be, with its own places in the
+    /// pixels.
+    #[test]
+    fn surfaces_are_compared_with_those_of_the_previous_frame() {
+        // Steep enough to be told apart, and no steeper, since depths must be similar, too.
+        let slope = 0.62;
+        let corner = [-1.0, 1.0].map(|side| {
+            let center = Vec3::new(500.0 * side, 0.0, 10.0 - 500.0 * slope);
+            (center, Vec3::new(-slope * side, 0.0, -1.0), 1000.0)
+        });
+        let before = walls(&corner);
+        for filter in [Filter::Point, Filter::Box] {
+            let mut now = before.clone();
+            now.camera.to_world = moved(Affine3A::from_translation(Vec3::X * 4.0));
+            let found = reprojected(before.clone(), now, filter);
+            let mut near = 0;
+            for (at, found) in found.iter().enumerate() {
+                let x = at % 40;
+                // The corner is 4 pixels to the left of the middle now; what lies near it was within
+                // the picture.
+                if (12..24).contains(&x) && !(15..18).contains(&x) {
+                    assert!(found.x >= 0.0, "{filter:?}: pixel {x} finds {found}");
+                    assert!(found.z < 1e-6, "{filter:?}: a direction is off by {}", found.z);
+                    near += 1;
+                }
+            }
+            assert_eq!(near, 9 * 20);
+        }
     }
 }

@@ -185,7 +185,14 @@ mod tests {
             })
         };
         let specs: Vec<String> = REGISTRY.iter().flat_map(Entry::specs).collect();
-        let more = ["nee:lights=all", "restir-di:tiles=on,rounds=3,mutations=2,taps=random"];
+        let more = [
+            "nee:lights=all",
+            "restir-di:tiles=on,rounds=3,mutations=2,taps=random",
+            // So few that the numbers of BSDF samples are those of the first paths.
+            "ris:candidates=1",
+            "restir-di:candidates=1",
+            "restir-pt:candidates=1,trees=2",
+        ];
         for spec in specs.iter().map(String::as_str).chain(more) {
             for filter in [Filter::Point, Filter::Box] {
                 let shot = Shot { size: [24, 18], depth: 3, filter, run: 5, effort: 2.0, fps: 30 };

@@ -7,6 +7,7 @@
 //! TOST with δ as stated, α = 10⁻³, a fail at 10⁻⁶; the control is the truth × (1 + 2 δ), which
 //! must fail. Ids are those of `docs/testing.md`.
 
+use std::collections::HashSet;
 use std::sync::Arc;
 
 use afterimage::accel::{BuildOptions, Ray};
@@ -912,6 +913,57 @@ fn chains_know_nothing_of_each_other() {
                 let others = chain(&three[frame], 2, 3);
                 let same = one[frame].iter().zip(&others).filter(|(a, b)| a == b).count();
                 assert!(same < one[frame].len() * 3 / 4, "{at}: {same} records repeat");
+            }
+        }
+    }
+}
+
+/// A chain's older samples come from its own history, and those of neighbours from the chain of the
+/// same number: nothing in it was ever in another one. The control asks the next chain.
+#[test]
+fn a_chain_goes_on_from_itself() {
+    let course = moving_lights();
+    let shot = Shot { effort: 3.0, ..shot([21, 14], 2, 1) };
+    for moving in [false, true] {
+        let stage = if moving { course.stage() } else { Stage::new(course.frame(0)).unwrap() };
+        for keys in ["mature=0", "neighbours=3,taps=random,mature=0"] {
+            let technique = Arc::from(parse(&with(keys)).unwrap());
+            let mut frames = FrameLoop::new(technique, &stage, shot).unwrap();
+            let mut buffers = |frame: u32| {
+                let frame = if moving {
+                    frames.render_scene(course.frame(frame)).unwrap()
+                } else {
+                    frames.render().unwrap()
+                };
+                ["reservoirs", "history"].map(|name| frame.buffer::<Record>(name).unwrap().to_vec())
+            };
+            let frames: Vec<_> = (0..2).map(&mut buffers).collect();
+            let place = |record: &Record| {
+                let sample = record.finished().sample?;
+                Some(sample.uv.to_array().map(f32::to_bits)).filter(|uv| *uv != [0, 0])
+            };
+            let of = |records: &[Record], chain: usize| -> Vec<_> {
+                let chain = records.iter().skip(chain).step_by(3);
+                chain.map(|record| (record.age(), place(record))).collect()
+            };
+            let known = |records: &[Record], chain: usize| -> HashSet<[u32; 2]> {
+                of(records, chain).into_iter().filter_map(|(_, place)| place).collect()
+            };
+            for chain in 0..3 {
+                let at = format!("{keys}, moving {moving}, chain {chain}");
+                let next = (chain + 1) % 3;
+                let [fresh, kept] = &frames[0];
+                // From neighbours in the same frame.
+                let [own, other] = [chain, next].map(|chain| known(fresh, chain));
+                let all = known(kept, chain);
+                assert!(all.len() > 20 && all.is_subset(&own), "{at}: neighbours");
+                assert!(!all.is_subset(&other), "the control: {at}");
+                // From the frame before.
+                let [own, other] = [chain, next].map(|chain| known(kept, chain));
+                let old = of(&frames[1][0], chain).into_iter().filter(|(age, _)| *age > 0);
+                let old: HashSet<_> = old.filter_map(|(_, place)| place).collect();
+                assert!(old.len() > 10 && old.is_subset(&own), "{at}: history");
+                assert!(!old.is_subset(&other), "the control: {at}");
             }
         }
     }

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use glam::{Affine3A, Quat, Vec2, Vec3};
 
+use super::candidates::TILE;
 use super::*;
 use crate::accel::{AcceptAll, BuildOptions, HitFilter, Ray};
 use crate::counters::Counters;
