@@ -15,11 +15,11 @@ macro_rules! counters {
                 vec![$((stringify!($name), self.$name),)*]
             }
 
-            /// From all lower words in the order of [`Counters::entries`], and all upper ones
-            /// behind them.
+            /// From the lower words of the first [`IN_TWINS`] in the order of
+            /// [`Counters::entries`], and their upper ones behind them.
             #[cfg(feature = "gpu")]
             pub(crate) fn from_words(words: &[u32]) -> Self {
-                let count = [$(stringify!($name)),*].len();
+                let count = IN_TWINS;
                 let word = |at: usize| u64::from(words.get(at).copied().unwrap_or(0));
                 let mut numbers = (0..count).map(|at| word(at) | word(count + at) << 32);
                 Self { $($name: numbers.next().unwrap_or(0),)* }
@@ -35,6 +35,11 @@ macro_rules! counters {
         }
     };
 }
+
+/// Counters that twins on graphics processors have: those behind belong to paths, which have none
+/// yet.
+#[cfg(feature = "gpu")]
+const IN_TWINS: usize = 17;
 
 counters! {
     /// Rays from the camera.
@@ -73,4 +78,24 @@ counters! {
     /// Estimates that were not finite. Always a bug: they are counted and shown as black, never
     /// passed on.
     non_finite,
+    /// Shifts of paths that failed since the replayed numbers scatter nothing there.
+    failed_replay,
+    /// … since an earlier pair of vertices may be connected there.
+    failed_earlier,
+    /// … since the path is shorter or longer there.
+    failed_length,
+    /// … since the lobe does not scatter, or is not rough there.
+    failed_lobe,
+    /// … since the vertices are too near.
+    failed_near,
+    /// … since light would meet the back of a surface.
+    failed_back,
+    /// … since something stands between.
+    failed_occluded,
+    /// … since the light is not there.
+    failed_light_gone,
+    /// … since the object is not there.
+    failed_object_gone,
+    /// … since a product is not finite there.
+    failed_not_finite,
 }

@@ -27,6 +27,7 @@ mod oracles;
 #[cfg(feature = "experiment")]
 mod outside;
 mod paths;
+mod paths_exact;
 mod paths_moved;
 #[cfg(feature = "cli")]
 mod peer;

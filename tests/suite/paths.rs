@@ -12,7 +12,8 @@ use afterimage::resampling::{
 };
 use afterimage::reuse::light_points::Time;
 use afterimage::reuse::paths::{
-    Anchor, Connects, Ending, Failure, NO_LOBE, PathReceiver, PathSample, PathShift, Tree,
+    Anchor, Connects, Ending, Failure, NO_LOBE, PathReceiver, PathSample, PathShift, ShiftKind,
+    Tree,
 };
 use afterimage::scene::{LightKind, Scene};
 use afterimage::stats::{Moments, t_test};
@@ -160,8 +161,19 @@ pub(crate) fn drawn(
     seed: u64,
     random: &mut Stream,
 ) -> Finished<PathSample, PrimarySample> {
+    drawn_by(world, receiver, seed, random, CONNECTS)
+}
+
+/// The same, by a rule of one's own.
+pub(crate) fn drawn_by(
+    world: &World,
+    receiver: &PathReceiver<'_>,
+    seed: u64,
+    random: &mut Stream,
+    connects: Connects,
+) -> Finished<PathSample, PrimarySample> {
     let mut reservoir = Plain::default();
-    let mut tree = Tree::new(world, CONNECTS, (seed, 1), &mut reservoir, random);
+    let mut tree = Tree::new(world, connects, (seed, 1), &mut reservoir, random);
     let steps = Steps::<{ sampled::ONE }, _> { world, filter: &AcceptAll };
     let primary = (receiver.direction, &receiver.hit);
     let limits = Limits { depth: 7, roulette_after: 5 };
@@ -170,7 +182,8 @@ pub(crate) fn drawn(
     reservoir.finish(target, 1.0)
 }
 
-pub(crate) const CONNECTS: Connects = Connects { distance: 0.05, roughness: Connects::ROUGHNESS };
+pub(crate) const CONNECTS: Connects =
+    Connects { distance: 0.05, roughness: Connects::ROUGHNESS, kind: ShiftKind::Hybrid };
 
 /// The receivers of all pixels that see a surface which scatters.
 fn receivers(world: &World) -> Vec<PathReceiver<'_>> {
@@ -227,7 +240,7 @@ fn a_shift_to_itself() {
 #[test]
 fn round_trips() {
     let mut met = [0_u32; 6];
-    let mut failures = [0; Failure::COUNT];
+    let mut work = Counters::default();
     let (mut defined, mut lost, mut worst) = (0, 0, 0.0_f32);
     for scene in rooms() {
         let stage = Stage::new(scene).unwrap();
@@ -267,17 +280,15 @@ fn round_trips() {
                 met[kind] += 1;
             }
         }
-        (0..Failure::COUNT).for_each(|at| failures[at] += shift.failures[at]);
+        work = work + shift.counters;
     }
-    println!(
-        "{defined} defined, {lost} lost, worst {worst:e}, kinds {met:?}, failures {failures:?}"
-    );
+    println!("{defined} defined, {lost} lost, worst {worst:e}, kinds {met:?}, failures {work:?}");
     assert_eq!(lost, 0);
     assert!(met.iter().all(|count| *count > 10), "{met:?}");
     let still = [Failure::Replay, Failure::Earlier, Failure::Length, Failure::Lobe, Failure::Near];
     let more = [Failure::Back, Failure::Occluded];
     for reason in still.into_iter().chain(more) {
-        assert!(failures[reason as usize] > 0, "{reason:?}: {failures:?}");
+        assert!(*reason.counter(&mut work) > 0, "{reason:?}: {work:?}");
     }
 }
 

@@ -1,17 +1,23 @@
 //! Paths between two frames whose lights and surfaces have moved.
 
+use std::sync::Arc;
+
 use afterimage::accel::AcceptAll;
-use afterimage::frame::Stage;
+use afterimage::counters::Counters;
+use afterimage::frame::{FrameLoop, Stage};
 use afterimage::math::rng::{Stream, path_seed};
+use afterimage::plan::Shot;
 use afterimage::resampling::{Family, ShiftMap, Shifted};
 use afterimage::reuse::light_points::Time;
 use afterimage::reuse::paths::{Anchor, Failure, PathReceiver, PathSample, PathShift};
 use afterimage::scene::{LightKind, Scene, Transform};
+use afterimage::techniques::{Technique, parse};
 use afterimage::world::Motion;
 use glam::{Affine3A, Quat, Vec3};
 
+use crate::course::{Course, Look, assert_unbiased};
 use crate::paths::{Bugged, CONNECTS, drawn, merged_against_traced, receivers_at, rooms};
-use crate::support::light;
+use crate::support::{light, look_at, shot};
 
 const SIZE: [u32; 2] = [24, 16];
 
@@ -111,7 +117,7 @@ fn what_is_traced_again_in_the_same_world_is_the_same() {
 /// T and its inverse between the frames.
 #[test]
 fn round_trips_between_frames() {
-    let mut failures = [0; Failure::COUNT];
+    let mut work = Counters::default();
     let (mut defined, mut lost, mut grown, mut worst) = (0, 0, 0, 0.0_f32);
     for (before, now) in pairs() {
         let (before, now, motion) = frames(&before, &now);
@@ -146,13 +152,13 @@ fn round_trips_between_frames() {
                 }
             }
         }
-        (0..Failure::COUNT).for_each(|at| failures[at] += shift.failures[at]);
+        work = work + shift.counters;
     }
-    println!("{defined} defined, {lost} lost, worst {worst:e}, {grown} grown, {failures:?}");
+    println!("{defined} defined, {lost} lost, worst {worst:e}, {grown} grown, {work:?}");
     assert_eq!(lost, 0);
     assert!(defined > 3000 && grown > 300, "{defined} defined, {grown} grown");
     for reason in [Failure::ObjectGone, Failure::LightGone, Failure::Length, Failure::Occluded] {
-        assert!(failures[reason as usize] > 0, "{reason:?}: {failures:?}");
+        assert!(*reason.counter(&mut work) > 0, "{reason:?}: {work:?}");
     }
 }
 
@@ -193,4 +199,76 @@ fn merges_with_the_previous_frame_are_unbiased() {
     });
     println!("without the ratio of areas: t {t:.2}, bias {:.3} %", 100.0 * bias);
     assert!(t.abs() > 4.5, "the control must fail: t {t}, bias {bias}");
+}
+
+/// What moves in a course.
+fn camera(scene: &mut Scene, i: u32) {
+    let t = 0.08 * i as f32;
+    scene.camera = look_at(Vec3::new(t, 1.0 + 0.5 * t, -3.0), Vec3::new(0.5 * t, 1.0, 0.0), 0.75);
+}
+
+fn lamps(scene: &mut Scene, i: u32) {
+    let t = 0.06 * i as f32;
+    let grow = Vec3::new(1.0 + 2.0 * t, 1.0, 1.0 + t);
+    let by = Vec3::new(t, -0.5 * t, 0.0);
+    place(scene, LAMP, Affine3A::from_scale_rotation_translation(grow, Quat::IDENTITY, by));
+    place(scene, LAMP_BALL, Affine3A::from_translation(Vec3::new(-2.0 * t, 0.0, -t)));
+}
+
+fn surfaces(scene: &mut Scene, i: u32) {
+    let t = 0.08 * i as f32;
+    place(scene, GLOSSY_BALL, Affine3A::from_translation(Vec3::new(t, 0.5 * t, -t)));
+    let turn = Quat::from_rotation_x(0.2 * t);
+    let wide = Vec3::new(1.0 + t, 1.0, 1.0);
+    let by = Vec3::new(0.0, 0.0, -t);
+    place(scene, BACK_WALL, Affine3A::from_scale_rotation_translation(wide, turn, by));
+}
+
+/// All paths of a room with glossy, smooth and clear things in it, while the camera, lamps or
+/// surfaces move and grow: the whole and both halves of the picture, in later frames, by every kind
+/// of shading and of direct light.
+#[test]
+fn paths_are_unbiased_while_anything_moves() {
+    let all: fn(&mut Scene, u32) = |scene, i| {
+        camera(scene, i);
+        lamps(scene, i);
+        surfaces(scene, i);
+    };
+    let near = "neighbours=2,radius=4,taps=random";
+    let tree = "direct=tree,shade=selected";
+    let plan: [(&str, fn(&mut Scene, u32), &[&str]); 4] = [
+        ("camera", camera, &[near, tree]),
+        ("lamps", lamps, &["neighbours=0"]),
+        ("surfaces", surfaces, &["neighbours=0,direct=tree,shade=selected"]),
+        ("all", all, &["", near, tree, "shade=decoupled,mis=balance,shift=reconnection"]),
+    ];
+    const DELTA: f64 = 0.03;
+    for (name, at, specs) in plan {
+        let course = Course { base: rooms()[2].clone(), at };
+        let shot = shot([18, 12], 4, 1);
+        let stage = course.stage();
+        let looks: Vec<Look> = [1, 3].iter().flat_map(|age| halves(&course, shot, *age)).collect();
+        for keys in specs {
+            let technique: Arc<dyn Technique> =
+                Arc::from(parse(&format!("restir-pt:{keys}")).unwrap());
+            println!("{name}");
+            assert_unbiased((&course, &stage), &technique, shot, &looks, DELTA);
+        }
+    }
+}
+
+/// The whole picture of a frame and its halves, by `nee`.
+fn halves(course: &Course, shot: Shot, age: u32) -> Vec<Look> {
+    let stage = Stage::new(course.frame(age)).unwrap();
+    let technique: Arc<dyn Technique> = Arc::from(parse("nee").unwrap());
+    let shot = Shot { effort: 20_000.0, run: 1 << 50, ..shot };
+    let mut frames = FrameLoop::new(technique, &stage, shot).unwrap();
+    let truth = frames.render().unwrap().picture().pixels;
+    let inside: [fn(u32) -> bool; 3] = [|_| true, |x| x < 9, |x| x >= 9];
+    inside
+        .map(|inside| {
+            let region = (0..shot.pixels() as u32).map(|at| inside(at % shot.size[0])).collect();
+            Look { age, region, truth: truth.clone() }
+        })
+        .into()
 }

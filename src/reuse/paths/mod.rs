@@ -42,6 +42,7 @@ pub use tree::Tree;
 use crate::accel::Hit;
 use crate::light::LightPoint;
 use crate::math::luminance;
+use crate::spec::Choice;
 
 /// Most segments of a path: a record counts its vertices and its end in 8 bits.
 pub const MOST_SEGMENTS: u32 = 256;
@@ -149,6 +150,30 @@ impl PathSample {
     }
 }
 
+/// How paths are shifted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ShiftKind {
+    /// Replay up to the first pair that may be connected.
+    #[default]
+    Hybrid,
+    /// Paths that may be connected right at the primary hit; others are not shifted.
+    Reconnection,
+    /// The numbers alone, up to the end; but the point of a light sample is kept.
+    Replay,
+}
+
+impl Choice for ShiftKind {
+    const ALL: &'static [Self] = &[Self::Hybrid, Self::Reconnection, Self::Replay];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Hybrid => "hybrid",
+            Self::Reconnection => "reconnection",
+            Self::Replay => "replay",
+        }
+    }
+}
+
 /// Which pairs of vertices a shift may connect: both rough, and far enough apart (Lin et al. 2022,
 /// section 7).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -157,6 +182,8 @@ pub struct Connects {
     pub distance: f32,
     /// Least α of a lobe.
     pub roughness: f32,
+    /// Which shift it is for.
+    pub kind: ShiftKind,
 }
 
 impl Connects {
@@ -166,6 +193,14 @@ impl Connects {
     /// For a scene whose bounds have this diagonal: vertices a hundredth of it apart.
     #[must_use]
     pub fn of_diagonal(diagonal: f32) -> Self {
-        Self { distance: 0.01 * diagonal, roughness: Self::ROUGHNESS }
+        Self::new(0.01 * diagonal, ShiftKind::Hybrid)
+    }
+
+    /// For a shift, with a least distance. A replay connects nothing, so no lobe is rough enough.
+    #[must_use]
+    pub fn new(distance: f32, kind: ShiftKind) -> Self {
+        let replay = kind == ShiftKind::Replay;
+        let roughness = if replay { f32::INFINITY } else { Self::ROUGHNESS };
+        Self { distance, roughness, kind }
     }
 }

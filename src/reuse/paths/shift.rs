@@ -5,7 +5,7 @@ use glam::Vec3;
 
 use super::suffix::{Suffix, light_again};
 use super::trail::Trail;
-use super::{Anchor, Connects, Ending, NO_LOBE, PathSample, Reconnection};
+use super::{Anchor, Connects, Ending, NO_LOBE, PathSample, Reconnection, ShiftKind};
 use crate::accel::{AcceptAll, Hit, HitFilter, HitPoint};
 use crate::counters::Counters;
 use crate::light::{Arrival, LightPoint, NO_LIGHT};
@@ -31,7 +31,6 @@ pub struct PathReceiver<'a> {
 
 /// Why a shift is undefined.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(usize)]
 pub enum Failure {
     /// The replayed numbers scatter nothing, or at a black surface.
     Replay,
@@ -56,8 +55,36 @@ pub enum Failure {
 }
 
 impl Failure {
-    /// How many there are.
-    pub const COUNT: usize = 10;
+    /// All of them.
+    pub const ALL: [Self; 10] = [
+        Self::Replay,
+        Self::Earlier,
+        Self::Length,
+        Self::Lobe,
+        Self::Near,
+        Self::Back,
+        Self::Occluded,
+        Self::LightGone,
+        Self::ObjectGone,
+        Self::NotFinite,
+    ];
+
+    /// Where shifts that failed for it are counted.
+    #[must_use]
+    pub const fn counter(self, counters: &mut Counters) -> &mut u64 {
+        match self {
+            Self::Replay => &mut counters.failed_replay,
+            Self::Earlier => &mut counters.failed_earlier,
+            Self::Length => &mut counters.failed_length,
+            Self::Lobe => &mut counters.failed_lobe,
+            Self::Near => &mut counters.failed_near,
+            Self::Back => &mut counters.failed_back,
+            Self::Occluded => &mut counters.failed_occluded,
+            Self::LightGone => &mut counters.failed_light_gone,
+            Self::ObjectGone => &mut counters.failed_object_gone,
+            Self::NotFinite => &mut counters.failed_not_finite,
+        }
+    }
 }
 
 /// The shift between the receivers of one frame, and of it and the previous one.
@@ -75,10 +102,8 @@ pub struct PathShift<'a, F> {
     /// Whether lights or geometry move, so that what lies behind `x_r` is traced again in another
     /// frame.
     pub retraces: bool,
-    /// Work done.
+    /// Work done, and shifts that were undefined, by reason.
     pub counters: Counters,
-    /// Shifts that were undefined, by reason.
-    pub failures: [u64; Failure::COUNT],
 }
 
 /// A path that is replayed, at a vertex.
@@ -103,7 +128,7 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
     #[must_use]
     pub fn new(filter: &'a F, connects: Connects, motion: Option<&'a Motion>) -> Self {
         let counters = Counters::default();
-        Self { filter, connects, motion, retraces: false, counters, failures: [0; Failure::COUNT] }
+        Self { filter, connects, motion, retraces: false, counters }
     }
 
     /// The same, which traces what lies behind `x_r` again where the frame changes.
@@ -157,6 +182,10 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
             Ending::Sky { sky } => self.sky_there(sky, from, to)?,
             _ => 0,
         };
+        let at_once = sample.reconnection.is_some_and(|kept| kept.vertex == 1);
+        if self.connects.kind == ShiftKind::Reconnection && !at_once {
+            return Err(Failure::Replay);
+        }
         let Some(kept) = &sample.reconnection else {
             return self.replay_to_the_end(&steps, sample, to, sky);
         };
@@ -583,7 +612,7 @@ impl<'a, F: HitFilter> ShiftMap for PathShift<'a, F> {
             Ok(shifted) => Some(shifted),
             Err(failure) => {
                 self.counters.shifts_failed += 1;
-                self.failures[failure as usize] += 1;
+                *failure.counter(&mut self.counters) += 1;
                 None
             }
         }

@@ -25,7 +25,7 @@ use crate::resampling::{ControlVariate, Decoupled, Estimator, Merges, Selected};
 use crate::reuse::light_points::{LightPoints, LightTiles, Supply};
 use crate::reuse::parameters::reuse_rows;
 use crate::reuse::passes::{self, Initial, Keys, kernel as reuse_kernel};
-use crate::reuse::paths::{Connects, Fresh, MOST_SEGMENTS, PathRecord, Paths};
+use crate::reuse::paths::{Connects, Fresh, MOST_SEGMENTS, PathRecord, Paths, ShiftKind};
 use crate::reuse::policy::{InTarget, InTargetControl, Policy};
 use crate::reuse::{Reuse, Settings};
 use crate::spec::{self, Choice, Row, row};
@@ -109,6 +109,12 @@ fn rows() -> Vec<Row<RestirPt>> {
         ),
         row!(
             RestirPt,
+            "shift",
+            choice shift: ShiftKind,
+            "how paths are shifted: replay up to a connection, a connection at the primary hit or not at all, or replay alone"
+        ),
+        row!(
+            RestirPt,
             "direct",
             choice direct: Direct,
             "direct light: from candidates as in restir-di, in the same reservoir as all other light, or from the walks"
@@ -162,6 +168,8 @@ pub struct RestirPt {
     pub trees: u32,
     /// Scatterings before Russian roulette may end a walk, in [0, 1000].
     pub roulette_after: u32,
+    /// How paths are shifted.
+    pub shift: ShiftKind,
     /// Where direct light comes from.
     pub direct: Direct,
     /// With [`Direct::Union`], light samples a pixel, frame and chain, in [1, 1024].
@@ -187,6 +195,7 @@ impl Default for RestirPt {
         Self {
             trees: 1,
             roulette_after: 5,
+            shift: ShiftKind::Hybrid,
             direct: Direct::Union,
             candidates: 8,
             bsdf: 1,
@@ -364,7 +373,7 @@ impl WithFilter for Call<'_, '_, '_> {
         let Call { technique, kernel, inputs, band } = self;
         let fixed = |name| inputs.plan.constant(name).expect("the plan fixes what kernels ask for");
         let distance = f32::from_bits(fixed(DISTANCE));
-        let connects = Connects { distance, roughness: Connects::ROUGHNESS };
+        let connects = Connects::new(distance, technique.shift);
         let retraces = fixed(RETRACES) != 0;
         let paths = Paths { frame: inputs, filter: &filter, connects, retraces };
         if kernel == kernel::TILES {
