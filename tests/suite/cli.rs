@@ -197,6 +197,9 @@ fn compare_writes_what_it_promises_and_uses_its_cache() {
 
     let results = place.results("first");
     assert_eq!((results.schema, results.size, results.depth, results.seed), (1, [32, 32], 3, 1));
+    let seventh = format!("compare {} {TINY} --techniques bsdf --seed 7 --out seventh", cornell());
+    place.run(&seventh).done();
+    assert_eq!(place.results("seventh").seed, 7);
     assert_eq!((results.filter.as_str(), results.reference.source.as_str()), ("point", "made"));
     assert!(results.command.starts_with("afterimage compare ") && !results.interrupted);
     assert_eq!(results.rows.len(), afterimage::techniques::REGISTRY.len());

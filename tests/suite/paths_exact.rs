@@ -60,7 +60,7 @@ fn above(frame: &[DVec3; 3], at: DVec2) -> DVec3 {
 
 /// |∂f/∂u| by central differences.
 fn determinant(u: DVec2, f: impl Fn(DVec2) -> DVec2) -> f64 {
-    let h = 1e-5;
+    let h = 1e-7;
     let along = |step: DVec2| (f(u + step) - f(u - step)) / (2.0 * h);
     along(DVec2::X * h).perp_dot(along(DVec2::Y * h)).abs()
 }

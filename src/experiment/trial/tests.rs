@@ -135,8 +135,18 @@ fn penumbra() -> Session {
 
 /// A trial of a technique where the light moves; δ = 5 %, ages 1 and 3, a reference for each.
 fn moving_light(technique: &Arc<dyn Technique>) -> TrialOutcome {
+    moving_light_in(technique, "late", |trial| trial)
+}
+
+/// The same with changes, and a cache of its own.
+fn moving_light_in(
+    technique: &Arc<dyn Technique>,
+    cache: &str,
+    changed: impl FnOnce(Trial) -> Trial,
+) -> TrialOutcome {
     let session = penumbra();
-    let cache = std::env::temp_dir().join(format!("afterimage-trial-{}", std::process::id()));
+    let cache =
+        std::env::temp_dir().join(format!("afterimage-trial-{cache}-{}", std::process::id()));
     let trial = Trial {
         ages: Ages::Given(vec![1, 3]),
         effort: 4.0,
@@ -147,6 +157,7 @@ fn moving_light(technique: &Arc<dyn Technique>) -> TrialOutcome {
         reference: ReferenceSettings { file: None, seconds: 4.0, cache: Some(cache.clone()) },
         ..Trial::default()
     };
+    let trial = changed(trial);
     let mut pool = ReferencePool::default();
     let outcome = trial.run(&session, technique, &mut pool, |_, _| Ok(())).unwrap();
     // One a frame: they are not the same picture.
@@ -166,6 +177,53 @@ fn a_technique_late_by_a_frame_fails_where_the_light_moves_and_the_punctual_one_
     // At the cold start there is no frame before.
     assert_ne!(late.last().ages[0].verdict(), Verdict::Fail);
     assert_eq!(late.last().ages[1].verdict(), Verdict::Fail);
+}
+
+/// A technique that notes what it renders: run, frame, kernel and where the band begins.
+#[derive(Debug)]
+struct Noted(Arc<dyn Technique>, std::sync::Mutex<Vec<[u64; 4]>>);
+
+impl Technique for Noted {
+    fn spec(&self) -> String {
+        self.0.spec()
+    }
+
+    fn validate(&self) -> Result<()> {
+        self.0.validate()
+    }
+
+    fn plan(&self, facts: &crate::plan::SceneFacts, shot: &Shot) -> Plan {
+        self.0.plan(facts, shot)
+    }
+
+    fn run(
+        &self,
+        kernel: u32,
+        inputs: &FrameInputs<'_>,
+        band: &mut Band<'_>,
+    ) -> crate::counters::Counters {
+        let (frame, at) = (inputs.frame.into(), band.range.start.into());
+        self.1.lock().unwrap().push([inputs.shot.run, frame, kernel.into(), at]);
+        self.0.run(kernel, inputs, band)
+    }
+}
+
+/// Pilot and both stages of a trial render restarts of their own: nothing is rendered twice.
+#[test]
+fn no_stage_has_the_restarts_of_another() {
+    let noted = Arc::new(Noted(session::technique("nee").unwrap(), Default::default()));
+    let technique: Arc<dyn Technique> = noted.clone();
+    let outcome = moving_light_in(&technique, "stages", |trial| {
+        // So few that the first stage decides nothing.
+        Trial { restarts: Some(2), delta: 1e-4, ..trial }
+    });
+    assert_eq!(outcome.stages.len(), 2);
+    let mut notes = noted.1.lock().unwrap().clone();
+    let count = notes.len();
+    notes.sort_unstable();
+    notes.dedup();
+    assert!(count > 100);
+    assert_eq!(notes.len(), count, "something was rendered twice");
 }
 
 #[test]
