@@ -12,6 +12,7 @@ mod figures;
 #[cfg(all(feature = "gpu", feature = "load"))]
 mod gpu;
 mod guides;
+mod hazards;
 #[cfg(feature = "experiment")]
 mod kept;
 mod lamps;

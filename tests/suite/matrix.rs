@@ -207,6 +207,14 @@ pub(crate) fn check_strips(entries: &[Entry], (name, course): &(&str, Course), s
     }
 }
 
+/// Every strip of one configuration.
+pub(crate) fn check_spec(entry: &Entry, keys: &str, (_, course): &(&str, Course), shot: Shot) {
+    let stage = course.stage();
+    let looks: Vec<Look> = [1, 3].iter().flat_map(|age| looks(course, shot, *age, DELTA)).collect();
+    let technique: Arc<dyn Technique> = Arc::from(entry.parse(keys).unwrap());
+    assert_unbiased((course, &stage), &technique, shot, &looks, DELTA);
+}
+
 #[test]
 fn every_technique_shows_every_surface_while_anything_moves() {
     for course in &courses() {

@@ -258,10 +258,10 @@ fn paths_are_unbiased_while_anything_moves() {
 }
 
 /// The whole picture of a frame and its halves, by `nee`.
-fn halves(course: &Course, shot: Shot, age: u32) -> Vec<Look> {
+pub(crate) fn halves(course: &Course, shot: Shot, age: u32) -> Vec<Look> {
     let stage = Stage::new(course.frame(age)).unwrap();
     let technique: Arc<dyn Technique> = Arc::from(parse("nee").unwrap());
-    let shot = Shot { effort: 20_000.0, run: 1 << 50, ..shot };
+    let shot = Shot { effort: 6_000.0, run: 1 << 50, ..shot };
     let mut frames = FrameLoop::new(technique, &stage, shot).unwrap();
     let truth = frames.render().unwrap().picture().pixels;
     let inside: [fn(u32) -> bool; 3] = [|_| true, |x| x < 9, |x| x >= 9];
