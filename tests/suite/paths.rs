@@ -12,8 +12,8 @@ use afterimage::resampling::{
 };
 use afterimage::reuse::light_points::Time;
 use afterimage::reuse::paths::{
-    Anchor, Connects, Ending, Failure, NO_LOBE, PathReceiver, PathSample, PathShift, ShiftKind,
-    Tree,
+    Anchor, Connects, Ending, Failure, NO_LOBE, PathReceiver, PathSample, PathShift, Predicate,
+    ShiftKind, Tree,
 };
 use afterimage::scene::{LightKind, Scene};
 use afterimage::stats::{Moments, t_test};
@@ -182,8 +182,12 @@ pub(crate) fn drawn_by(
     reservoir.finish(target, 1.0)
 }
 
-pub(crate) const CONNECTS: Connects =
-    Connects { distance: 0.05, roughness: Connects::ROUGHNESS, kind: ShiftKind::Hybrid };
+pub(crate) const CONNECTS: Connects = Connects {
+    distance: 0.05,
+    roughness: Connects::ROUGHNESS,
+    kind: ShiftKind::Hybrid,
+    predicate: Predicate::Distance,
+};
 
 /// The receivers of all pixels that see a surface which scatters.
 fn receivers(world: &World) -> Vec<PathReceiver<'_>> {

@@ -8,7 +8,7 @@ use afterimage::math::warp::sample_uniform_sphere;
 use afterimage::path::power_heuristic;
 use afterimage::resampling::ShiftMap;
 use afterimage::reuse::paths::{
-    Anchor, Connects, Ending, PathReceiver, PathSample, PathShift, ShiftKind,
+    Anchor, Connects, Ending, PathReceiver, PathSample, PathShift, Predicate, ShiftKind,
 };
 use afterimage::scene::{Geometry, Scene, Shape};
 use afterimage::world::World;
@@ -246,8 +246,8 @@ fn both_techniques_sum_to_one() {
 
 /// Shifts of `samples` paths of each room to `to` receivers each: all that are defined come back, by
 /// Jacobians whose product is 1, as what they were, in the stratum that they were in.
-fn trips(kind: ShiftKind, samples: u32, to: usize) -> [u64; 2] {
-    let connects = Connects { kind, roughness: Connects::new(0.0, kind).roughness, ..CONNECTS };
+fn trips((kind, predicate): (ShiftKind, Predicate), samples: u32, to: usize) -> [u64; 2] {
+    let connects = Connects::new(CONNECTS.distance, kind).by(predicate);
     let mut total = [0, 0];
     for scene in rooms() {
         let stage = Stage::new(scene).unwrap();
@@ -291,7 +291,12 @@ fn trips(kind: ShiftKind, samples: u32, to: usize) -> [u64; 2] {
 
 #[test]
 fn many_round_trips() {
-    for kind in [ShiftKind::Hybrid, ShiftKind::Reconnection, ShiftKind::Replay] {
+    for kind in [
+        (ShiftKind::Hybrid, Predicate::Distance),
+        (ShiftKind::Hybrid, Predicate::Footprint),
+        (ShiftKind::Reconnection, Predicate::Distance),
+        (ShiftKind::Replay, Predicate::Distance),
+    ] {
         let [found, lost] = trips(kind, 6_000, 24);
         println!("{kind:?}: {found} shifts, {lost} lost");
         assert!(found > 20_000 && lost == 0, "{kind:?}: {found} shifts, {lost} lost");
@@ -302,7 +307,11 @@ fn many_round_trips() {
 #[test]
 #[ignore = "takes minutes; its figure stands in docs/restir_pt.md"]
 fn long_round_trips() {
-    for kind in [ShiftKind::Hybrid, ShiftKind::Replay] {
+    for kind in [
+        (ShiftKind::Hybrid, Predicate::Distance),
+        (ShiftKind::Hybrid, Predicate::Footprint),
+        (ShiftKind::Replay, Predicate::Distance),
+    ] {
         let [found, lost] = trips(kind, 120_000, 192);
         println!("{kind:?}: {found} shifts, {lost} lost");
         assert!(lost * 1_000_000 < found, "{kind:?}: {found} shifts, {lost} lost");

@@ -184,6 +184,31 @@ pub struct Connects {
     pub roughness: f32,
     /// Which shift it is for.
     pub kind: ShiftKind,
+    /// How far apart is far enough.
+    pub predicate: Predicate,
+}
+
+/// When vertices are far enough apart to be connected.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Predicate {
+    /// From a distance on (Lin et al. 2022).
+    #[default]
+    Distance,
+    /// From where both directions, spread as their densities are, cover as much surface as a small
+    /// share of what the primary ray's pixel covers: no length of the scene is asked for (*ReSTIR
+    /// PT Enhanced*, 2026).
+    Footprint,
+}
+
+impl Choice for Predicate {
+    const ALL: &'static [Self] = &[Self::Distance, Self::Footprint];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Distance => "distance",
+            Self::Footprint => "footprint",
+        }
+    }
 }
 
 impl Connects {
@@ -201,6 +226,12 @@ impl Connects {
     pub fn new(distance: f32, kind: ShiftKind) -> Self {
         let replay = kind == ShiftKind::Replay;
         let roughness = if replay { f32::INFINITY } else { Self::ROUGHNESS };
-        Self { distance, roughness, kind }
+        Self { distance, roughness, kind, predicate: Predicate::Distance }
+    }
+
+    /// The same by another predicate.
+    #[must_use]
+    pub fn by(self, predicate: Predicate) -> Self {
+        Self { predicate, ..self }
     }
 }

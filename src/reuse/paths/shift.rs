@@ -4,7 +4,7 @@
 use glam::Vec3;
 
 use super::suffix::{Suffix, light_again};
-use super::trail::Trail;
+use super::trail::{Trail, Way};
 use super::{Anchor, Connects, Ending, NO_LOBE, PathSample, Reconnection, ShiftKind};
 use crate::accel::{AcceptAll, Hit, HitFilter, HitPoint};
 use crate::counters::Counters;
@@ -113,6 +113,16 @@ struct Replay {
     trail: Trail,
     /// Π f/p̄ so far.
     throughput: Vec3,
+}
+
+/// How the vertex before `x_r` is left towards it.
+struct Left {
+    way: Way,
+    direction: Vec3,
+    /// All lobes.
+    total: Evaluation,
+    /// p(`ω_{r−1}`, `ℓ_{r−1}`).
+    joint: f32,
 }
 
 /// What a connection gives.
@@ -228,7 +238,7 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         let vertex = Vertex::new(world, &to.hit, &point, to.direction).ok_or(Failure::Replay)?;
         let mut replay =
             Replay { vertex, number: 0, trail: Trail::default(), throughput: Vec3::ONE };
-        replay.trail.arrive(&self.connects, 0, &replay.vertex, &point);
+        replay.trail.arrive(&self.connects, 0, &replay.vertex, (&point, to.hit.t));
         while replay.number < end {
             let (direction, _) = self.scatter(steps, seed, &mut replay)?;
             let hit = steps.onward(&replay.vertex, direction, &mut self.counters);
@@ -236,7 +246,7 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
             let point = world.accel.point(&hit);
             replay.number += 1;
             replay.vertex = Vertex::new(world, &hit, &point, direction).ok_or(Failure::Replay)?;
-            replay.trail.arrive(&self.connects, replay.number, &replay.vertex, &point);
+            replay.trail.arrive(&self.connects, replay.number, &replay.vertex, (&point, hit.t));
         }
         Ok(replay)
     }
@@ -253,11 +263,13 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         let _replay = crate::math::rng::recording::Replay::begin();
         let Replay { vertex, number, trail, throughput } = replay;
         let scattered = steps.scatter(vertex, (seed, *number)).ok_or(Failure::Replay)?;
-        let rough = self.connects.is_rough(&vertex.surface.bsdf, scattered.lobe.into());
-        if trail.reachable && rough {
+        let bsdf = &vertex.surface.bsdf;
+        let lobe = scattered.lobe.into();
+        if trail.connects(&self.connects, bsdf, Some(lobe), scattered.pdf) {
             return Err(Failure::Earlier);
         }
-        trail.leave(scattered.lobe, rough, 0.0);
+        let rough = self.connects.is_rough(bsdf, lobe);
+        trail.leave(scattered.lobe, rough, scattered.pdf, 0.0);
         *throughput *= scattered.value / scattered.pdf;
         if *throughput == Vec3::ZERO {
             return Err(Failure::Replay);
@@ -286,8 +298,8 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
                     return Err(Failure::Length);
                 }
                 let point = world.accel.point(&hit);
-                let (_, far) = replay.trail.reach(&self.connects, &point);
-                if far && replay.trail.rough {
+                let way = replay.trail.way_to(&point);
+                if replay.trail.rough && replay.trail.leaves_to(&self.connects, &way) {
                     return Err(Failure::Earlier);
                 }
                 let end = steps.ending(&replay.vertex, beside, direction, light, &point);
@@ -321,26 +333,29 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         if lobe >= bsdf.lobe_count() || bsdf.is_delta(lobe) || !self.connects.is_rough(bsdf, lobe) {
             return Err(Failure::Lobe);
         }
-        if replay.trail.reachable {
-            return Err(Failure::Earlier);
-        }
         let wi = surface.frame.to_local(direction);
         let (total, joint) = bsdf.evaluate_with_lobe(lobe, *outgoing, wi);
         if joint <= 0.0 || total.value == Vec3::ZERO {
             return Err(Failure::Lobe);
         }
+        if replay.trail.connects(&self.connects, bsdf, Some(lobe), total.pdf) {
+            return Err(Failure::Earlier);
+        }
         Ok((total, joint))
     }
 
-    /// The direction to a point, g there, and whether it is far enough.
+    /// Leaves the vertex before `x_r` towards a point by `ℓ_{r−1}`. Fails where that may not be
+    /// connected.
     #[inline]
-    fn way(&self, replay: &Replay, point: &HitPoint) -> Result<(Vec3, f32), Failure> {
-        let (geometry, far) = replay.trail.reach(&self.connects, point);
-        if !far {
+    fn leave_to(&self, replay: &Replay, lobe: u8, point: &HitPoint) -> Result<Left, Failure> {
+        let way = replay.trail.way_to(point);
+        let direction = point.position - replay.vertex.surface.position;
+        let direction = direction / direction.length();
+        let (total, joint) = self.leave(replay, lobe, direction)?;
+        if !replay.trail.first(&self.connects, &way, total.pdf) {
             return Err(Failure::Near);
         }
-        let way = point.position - replay.vertex.surface.position;
-        Ok((way / way.length(), geometry))
+        Ok(Left { way, direction, total, joint })
     }
 
     /// Fails where something stands between the vertex before `x_r` and a point: one ray, off both
@@ -372,8 +387,7 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         (hit, point): (&Hit, &HitPoint),
         again: Option<u32>,
     ) -> Result<Connected, Failure> {
-        let (direction, geometry) = self.way(replay, point)?;
-        let (total, joint) = self.leave(replay, kept.lobes[0], direction)?;
+        let Left { way, direction, total, joint } = self.leave_to(replay, kept.lobes[0], point)?;
         let vertex = Vertex::new(steps.world, hit, point, direction).ok_or(Failure::Back)?;
         let mut suffix = Suffix::kept(sample, kept);
         let samples_light = kept.lobes[1] == NO_LOBE;
@@ -399,6 +413,9 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         }
         let Suffix { radiance, light_density, ending, .. } = suffix;
         let there = onward.total;
+        if !replay.trail.onward(&self.connects, &way, &vertex.surface.bsdf, there.pdf) {
+            return Err(Failure::Near);
+        }
         let behind = if samples_light {
             let alone = ending == Ending::Light { delta: true };
             let share = if alone { 1.0 } else { power_heuristic(light_density, there.pdf) };
@@ -408,7 +425,7 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
             let share = if at_last { power_heuristic(there.pdf, light_density) } else { 1.0 };
             there.value / there.pdf * radiance * share
         };
-        let density = joint * geometry * onward.joint;
+        let density = joint * way.geometry * onward.joint;
         let Suffix { direction, .. } = suffix;
         let reconnection = Reconnection {
             density,
@@ -439,8 +456,7 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         if light == NO_LIGHT {
             return Err(Failure::LightGone);
         }
-        let (direction, geometry) = self.way(replay, point)?;
-        let (total, joint) = self.leave(replay, kept.lobes[0], direction)?;
+        let Left { way, direction, total, joint } = self.leave_to(replay, kept.lobes[0], point)?;
         let cosine = -direction.dot(point.geometric_normal);
         let emission = world.lights.emitted(&world.scene, light, point.uv, cosine);
         if emission == Vec3::ZERO {
@@ -453,7 +469,7 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         let side = 1.0_f32.copysign(cosine);
         let end = offset_origin(point.position, normal * side, point.error);
         self.look(steps, replay, direction, Some(end))?;
-        let density = joint * geometry;
+        let density = joint * way.geometry;
         let anchor = Anchor::Surface(*hit);
         Ok(Connected {
             integrand: replay.throughput * (total.value / total.pdf) * emission * share,
@@ -509,9 +525,6 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         point: LightPoint,
     ) -> Result<Connected, Failure> {
         let Vertex { surface, outgoing } = &replay.vertex;
-        if replay.trail.reachable && self.connects.any_is_rough(&surface.bsdf) {
-            return Err(Failure::Earlier);
-        }
         let world = steps.world;
         let emitter = world.lights.emitter(&world.scene, point).ok_or(Failure::LightGone)?;
         let direct = sample.ending == Ending::Direct;
@@ -524,6 +537,9 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         let scattered = surface.bsdf.evaluate(*outgoing, surface.frame.to_local(arrival.direction));
         if scattered.value == Vec3::ZERO {
             return Err(Failure::Back);
+        }
+        if replay.trail.connects(&self.connects, &surface.bsdf, None, scattered.pdf) {
+            return Err(Failure::Earlier);
         }
         let delta = arrival.geometry == 0.0;
         let share = if direct || delta {

@@ -124,7 +124,7 @@ fn place(hit: &Hit) -> Hit {
 impl<R: RandomSource> Visitor for Tree<'_, R> {
     #[inline]
     fn vertex(&mut self, number: u32, at: &Vertex, hit: &Hit, point: &HitPoint) {
-        self.trail.arrive(&self.connects, number, at, point);
+        self.trail.arrive(&self.connects, number, at, (point, hit.t));
         self.hit = place(hit);
     }
 
@@ -143,14 +143,20 @@ impl<R: RandomSource> Visitor for Tree<'_, R> {
                 density: open.density,
                 light_density: 0.0,
             }),
-            None if self.trail.reachable && self.connects.any_is_rough(&at.surface.bsdf) => {
+            None if self.trail.connects(
+                &self.connects,
+                &at.surface.bsdf,
+                None,
+                sample.scattered.pdf,
+            ) =>
+            {
                 Some(Reconnection {
                     vertex: number as u8,
                     lobes: [self.trail.lobe, NO_LOBE],
                     anchor: Anchor::Surface(self.hit),
                     direction: incident.direction,
                     radiance: incident.radiance,
-                    density: self.trail.density * self.trail.geometry,
+                    density: self.trail.density * self.trail.way.geometry,
                     light_density: sample.density,
                 })
             }
@@ -180,8 +186,10 @@ impl<R: RandomSource> Visitor for Tree<'_, R> {
         let lobe = u32::from(sample.lobe);
         let factor = sample.value / sample.pdf;
         let rough = !sample.delta && self.connects.is_rough(bsdf, lobe);
+        let connects = self.open.is_none()
+            && self.trail.connects(&self.connects, bsdf, Some(lobe), sample.pdf);
         // Only a pair that may be connected asks for the density.
-        let density = if rough && self.open.is_none() {
+        let density = if self.open.is_none() && (rough || connects) {
             bsdf.evaluate_lobe(lobe, at.outgoing, sample.wi).pdf
         } else {
             0.0
@@ -189,19 +197,19 @@ impl<R: RandomSource> Visitor for Tree<'_, R> {
         self.clean *= factor;
         match &mut self.open {
             Some(open) => open.suffix *= factor,
-            None if self.trail.reachable && rough => {
+            None if connects => {
                 self.open = Some(Open {
                     vertex: number as u8,
                     lobes: [self.trail.lobe, sample.lobe],
                     hit: self.hit,
                     direction,
-                    density: self.trail.density * self.trail.geometry * density,
+                    density: self.trail.density * self.trail.way.geometry * density,
                     suffix: Vec3::ONE,
                 });
             }
             None => {}
         }
-        self.trail.leave(sample.lobe, rough, density);
+        self.trail.leave(sample.lobe, rough, sample.pdf, density);
         self.direction = direction;
     }
 
@@ -216,14 +224,15 @@ impl<R: RandomSource> Visitor for Tree<'_, R> {
         let reconnection = match &self.open {
             Some(open) => Some(self.behind(number, open, end.emission, end.share, end.density)),
             None => {
-                let (geometry, far) = self.trail.reach(&self.connects, at);
-                (far && self.trail.rough).then(|| Reconnection {
+                let way = self.trail.way_to(at);
+                let connects = self.trail.rough && self.trail.leaves_to(&self.connects, &way);
+                connects.then(|| Reconnection {
                     vertex: number as u8 + 1,
                     lobes: [self.trail.lobe, NO_LOBE],
                     anchor: Anchor::Surface(place(hit)),
                     direction: self.direction,
                     radiance: end.emission,
-                    density: self.trail.density * geometry,
+                    density: self.trail.density * way.geometry,
                     light_density: 0.0,
                 })
             }

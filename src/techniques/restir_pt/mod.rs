@@ -25,7 +25,9 @@ use crate::resampling::{ControlVariate, Decoupled, Estimator, Merges, Selected};
 use crate::reuse::light_points::{LightPoints, LightTiles, Supply};
 use crate::reuse::parameters::reuse_rows;
 use crate::reuse::passes::{self, Initial, Keys, kernel as reuse_kernel};
-use crate::reuse::paths::{Connects, Fresh, MOST_SEGMENTS, PathRecord, Paths, ShiftKind};
+use crate::reuse::paths::{
+    Connects, Fresh, MOST_SEGMENTS, PathRecord, Paths, Predicate, ShiftKind,
+};
 use crate::reuse::policy::{InTarget, InTargetControl, Policy};
 use crate::reuse::{Reuse, Settings};
 use crate::spec::{self, Choice, Row, row};
@@ -115,6 +117,12 @@ fn rows() -> Vec<Row<RestirPt>> {
         ),
         row!(
             RestirPt,
+            "predicate",
+            choice predicate: Predicate,
+            "when vertices are far enough apart to be connected: from 1 % of the scene's diagonal on, or by what both directions cover of it"
+        ),
+        row!(
+            RestirPt,
             "direct",
             choice direct: Direct,
             "direct light: from candidates as in restir-di, in the same reservoir as all other light, or from the walks"
@@ -170,6 +178,8 @@ pub struct RestirPt {
     pub roulette_after: u32,
     /// How paths are shifted.
     pub shift: ShiftKind,
+    /// When vertices are far enough apart to be connected.
+    pub predicate: Predicate,
     /// Where direct light comes from.
     pub direct: Direct,
     /// With [`Direct::Union`], light samples a pixel, frame and chain, in [1, 1024].
@@ -196,6 +206,7 @@ impl Default for RestirPt {
             trees: 1,
             roulette_after: 5,
             shift: ShiftKind::Hybrid,
+            predicate: Predicate::Distance,
             direct: Direct::Union,
             candidates: 8,
             bsdf: 1,
@@ -373,7 +384,7 @@ impl WithFilter for Call<'_, '_, '_> {
         let Call { technique, kernel, inputs, band } = self;
         let fixed = |name| inputs.plan.constant(name).expect("the plan fixes what kernels ask for");
         let distance = f32::from_bits(fixed(DISTANCE));
-        let connects = Connects::new(distance, technique.shift);
+        let connects = Connects::new(distance, technique.shift).by(technique.predicate);
         let retraces = fixed(RETRACES) != 0;
         let paths = Paths { frame: inputs, filter: &filter, connects, retraces };
         if kernel == kernel::TILES {

@@ -23,10 +23,12 @@ pub(super) const RUNGS: &[Rung] = &[
     Rung::new("decoupled", "shade=decoupled,mature=0", Moving::Still),
     Rung::new("reconnection only", "shift=reconnection,mature=0", Moving::Still),
     Rung::new("replay only", "shift=replay,mature=0", Moving::Still),
+    Rung::new("footprint", "predicate=footprint,mature=0", Moving::Still),
     Rung::new("moving camera", "", Moving::Camera),
     Rung::new("moving light", "", Moving::Light),
     Rung::new("moving occluder", "", Moving::Occluder),
     Rung::new("all moves", "", Moving::All),
+    Rung::new("all moves, footprint", "predicate=footprint", Moving::All),
     Rung::new("all moves, selected", "shade=selected", Moving::All),
 ];
 
@@ -42,6 +44,7 @@ pub(super) fn variants() -> Vec<String> {
         "neighbours=0",
         "trees=3",
         "direct=tree",
+        "predicate=footprint,mature=0",
         "shift=reconnection,mature=0",
         "shift=replay,mature=0,direct=tree",
         "tiles=on,candidates=4,bsdf=2",
