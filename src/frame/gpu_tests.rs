@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use glam::Vec3;
+use glam::{Quat, Vec3};
 
 use super::*;
 use crate::gpu::Gpu;
@@ -58,19 +58,24 @@ fn moving() -> Stage {
         keys: vec![(0.0, from), (1.0, to)],
         interpolation: Interpolation::Linear,
     };
-    let moved = |transform: &Transform, by: Vec3, growth: f32| {
-        let rotation = Curve::constant(glam::Quat::IDENTITY);
+    let moved = |transform: &Transform, by: Vec3, growth: f32, turn: f32| {
+        let rotation = Curve {
+            keys: vec![(0.0, Quat::IDENTITY), (1.0, Quat::from_rotation_y(turn))],
+            interpolation: Interpolation::Linear,
+        };
         let scale = along(Vec3::ONE, Vec3::splat(growth));
         let track = Track::Trs { translation: along(Vec3::ZERO, by), rotation, scale };
         Transform::Chain(vec![track, Track::Fixed(transform.fixed())])
     };
     let size = crate::world::bounds(&scene);
     let step = 0.05 * (size[1] - size[0]).length();
-    scene.camera.to_world = moved(&scene.camera.to_world, step * Vec3::new(1.0, 0.2, 0.5), 1.0);
+    scene.camera.to_world =
+        moved(&scene.camera.to_world, step * Vec3::new(1.0, 0.2, 0.5), 1.0, 0.3);
     let count = scene.instances.len();
     for (at, instance) in scene.instances.iter_mut().enumerate() {
         if at * 3 > count {
-            instance.to_world = moved(&instance.to_world, step * Vec3::new(0.3, 0.4, -0.2), 1.5);
+            instance.to_world =
+                moved(&instance.to_world, step * Vec3::new(0.3, 0.4, -0.2), 1.5, 0.1);
         }
     }
     scene.time = [0.0, 1.0];
