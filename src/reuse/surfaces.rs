@@ -355,8 +355,8 @@ mod tests {
 
     const SIZE: [u32; 2] = [40, 20];
 
-    /// Walls, each a disk by its centre, normal and radius, before a camera at the origin that looks
-    /// along z and whose pixels are a unit wide at z = 10.
+    /// Walls, each a disk by its centre, normal and radius, before a camera at the origin that
+    /// looks along z and whose pixels are a unit wide at z = 10.
     fn walls(walls: &[(Vec3, Vec3, f32)]) -> Scene {
         let mut scene = Scene::new("walls");
         let reflectance = Color::Constant(Vec3::ONE);
@@ -404,8 +404,8 @@ mod tests {
         assert!((130..230).contains(&steps[1]), "{steps:?}");
     }
 
-    /// A camera that goes back sees all surfaces farther away; they are compared with what they were
-    /// at, from where the camera was.
+    /// A camera that goes back sees all surfaces farther away; they are compared with what they
+    /// were at, from where the camera was.
     #[test]
     fn depths_are_compared_from_where_the_camera_was() {
         let before = walls(&[(Vec3::Z * 10.0, Vec3::NEG_Z, 1000.0)]);
@@ -424,9 +424,9 @@ mod tests {
         assert_eq!(middle(&reprojected(before, other, Filter::Point)), 0);
     }
 
-    /// Along a corner that goes by, each wall finds itself, by the normals of the previous frame; the
-    /// directions of the previous frame are what they are said to be, with its own places in the
-    /// pixels.
+    /// Along a corner that goes by, each wall finds itself, by the normals of the previous frame;
+    /// the directions of the previous frame are what they are said to be, with its own places in
+    /// the pixels.
     #[test]
     fn surfaces_are_compared_with_those_of_the_previous_frame() {
         // Steep enough to be told apart, and no steeper, since depths must be similar, too.
@@ -443,8 +443,8 @@ mod tests {
             let mut near = 0;
             for (at, found) in found.iter().enumerate() {
                 let x = at % 40;
-                // The corner is 4 pixels to the left of the middle now; what lies near it was within
-                // the picture.
+                // The corner is 4 pixels to the left of the middle now; what lies near it was
+                // within the picture.
                 if (12..24).contains(&x) && !(15..18).contains(&x) {
                     assert!(found.x >= 0.0, "{filter:?}: pixel {x} finds {found}");
                     assert!(found.z < 1e-6, "{filter:?}: a direction is off by {}", found.z);

@@ -517,8 +517,8 @@ mod tests {
         assert!((400..600).contains(&far), "{far} of 1000 on the far half");
     }
 
-    /// A world where nothing but the camera moved has the accelerator of the one before, not another
-    /// one of the same trees.
+    /// A world where nothing but the camera moved has the accelerator of the one before, not
+    /// another one of the same trees.
     #[test]
     fn what_stays_is_not_built_in_silence() {
         let options = BuildOptions { two_level: Some(true), ..BuildOptions::default() };
@@ -535,8 +535,8 @@ mod tests {
         assert_eq!(control.accel.report().built, 0, "a tree over instances alone");
     }
 
-    /// A sky's power grows with the scene, so the choice among lights is another one where something
-    /// has moved far away, though no light has.
+    /// A sky's power grows with the scene, so the choice among lights is another one where
+    /// something has moved far away, though no light has.
     #[test]
     fn a_sky_is_chosen_as_often_as_the_scene_is_large() {
         let mut scene = Scene::new("growing");

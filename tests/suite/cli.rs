@@ -487,9 +487,9 @@ fn render_writes_layers_that_do_not_depend_on_threads() {
     }
 }
 
-/// `--spp 9` is a frame of 8 estimates and one of 1, each estimate of which counts alike: nine times
-/// it less eight times the former is the ninth alone, which no pixel has negative. Another `--seed`
-/// is another picture.
+/// `--spp 9` is a frame of 8 estimates and one of 1, each estimate of which counts alike: nine
+/// times it less eight times the former is the ninth alone, which no pixel has negative. Another
+/// `--seed` is another picture.
 #[test]
 fn estimates_that_are_left_over_count_alike() {
     let place = Place::new("rest");

@@ -490,8 +490,8 @@ fn what_moved_is_not_asked_for_where_nothing_moves() {
     }
 }
 
-/// The boiling filter compares with the mean of the pixels that have a sample: where a few of a tile
-/// are lit, alike, it drops none of them.
+/// The boiling filter compares with the mean of the pixels that have a sample: where a few of a
+/// tile are lit, alike, it drops none of them.
 #[test]
 fn boiling_takes_dark_pixels_for_no_part_of_the_mean() {
     let mut scene = Scene::new("patch");

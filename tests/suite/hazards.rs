@@ -34,8 +34,8 @@ fn fixed(affine: Affine3A) -> Transform {
     Transform::Fixed(affine)
 }
 
-/// After a restart there is no history: the first frame is that of a fresh loop, for all techniques,
-/// and a run with another seed shares no number with it.
+/// After a restart there is no history: the first frame is that of a fresh loop, for all
+/// techniques, and a run with another seed shares no number with it.
 #[test]
 fn h_history_is_used_once() {
     let stage = Stage::new(room()).unwrap();
@@ -91,7 +91,7 @@ fn h_tables_shift() {
     let place = Affine3A::from_translation(Vec3::new(0.3, 1.4, -0.4));
     light(&mut base, LightKind::Point { intensity: Vec3::splat(0.4) }, place);
     let at = |scene: &mut Scene, i: u32| {
-        if i % 2 == 0 {
+        if i.is_multiple_of(2) {
             scene.lights.pop();
         }
         let last = scene.lights.len() - 1;

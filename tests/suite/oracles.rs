@@ -45,8 +45,8 @@ use glam::{Affine2, Affine3A, DVec2, DVec3, Vec3};
 
 use crate::support::{
     against, along, assert_exact, assert_mean, assert_means, assert_same_mean, diffuse,
-    environment, light, look_at, metal, picture, polygon, receiver, restarts, shot, sphere,
-    unbiased,
+    environment, light, look_at, metal, picture, polygon, receiver, restarts, rounded, shot,
+    sphere, unbiased,
 };
 
 /// Pixels of most tests: few, as all see the same point; enough for bands on two threads.
@@ -548,7 +548,8 @@ fn o13_delta_lights_without_noise() {
             for technique in unbiased(&stage, &direct()) {
                 // The spot's edge turns the rounding of a cosine into 10⁻⁵ of its value, the narrow
                 // lobe that of the half vector.
-                assert_exact(&picture(&stage, technique, direct()), irradiance * value, 1e-5);
+                let tolerance = rounded(technique, 1e-5);
+                assert_exact(&picture(&stage, technique, direct()), irradiance * value, tolerance);
             }
         }
     }
@@ -604,7 +605,8 @@ fn o14_many_lights_are_one() {
     for (lights, intensity) in [(N, 1.0), (1, N as f32)] {
         let stage = build(lights, intensity);
         for technique in unbiased(&stage, &direct()) {
-            assert_exact(&picture(&stage, technique, shot(SIZE, 2, 4)), truth, 2e-6);
+            let shown = picture(&stage, technique, shot(SIZE, 2, 4));
+            assert_exact(&shown, truth, rounded(technique, 2e-6));
         }
     }
     // Lamps of unequal size, so that the choice is not uniform: spheres of radius r with F = (r/d)²

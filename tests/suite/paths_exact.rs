@@ -48,8 +48,8 @@ fn frame(normal: DVec3) -> [DVec3; 3] {
     [s, t, normal]
 }
 
-/// The point of the unit disk below a direction: cosine-weighted directions are uniform there, so it
-/// stands for the numbers of a Lambert lobe.
+/// The point of the unit disk below a direction: cosine-weighted directions are uniform there, so
+/// it stands for the numbers of a Lambert lobe.
 fn disk(frame: &[DVec3; 3], direction: DVec3) -> DVec2 {
     DVec2::new(direction.dot(frame[0]), direction.dot(frame[1]))
 }
@@ -195,8 +195,8 @@ fn jacobians_are_determinants_of_the_numbers() {
     assert!(ones > 500 && wrong_ends > 500, "{ones} and {wrong_ends} tell the controls apart");
 }
 
-/// ω of both techniques for one path sums to 1: what a light sample is worth beside a direction that
-/// meets the light, from wherever the path was shifted to.
+/// ω of both techniques for one path sums to 1: what a light sample is worth beside a direction
+/// that meets the light, from wherever the path was shifted to.
 #[test]
 fn both_techniques_sum_to_one() {
     let stage = Stage::new(matt()).unwrap();
@@ -244,8 +244,8 @@ fn both_techniques_sum_to_one() {
     assert!(met > 200 && stale > 100, "{met} paths, {stale} tell a stale density");
 }
 
-/// Shifts of `samples` paths of each room to `to` receivers each: all that are defined come back, by
-/// Jacobians whose product is 1, as what they were, in the stratum that they were in.
+/// Shifts of `samples` paths of each room to `to` receivers each: all that are defined come back,
+/// by Jacobians whose product is 1, as what they were, in the stratum that they were in.
 fn trips((kind, predicate): (ShiftKind, Predicate), samples: u32, to: usize) -> [u64; 2] {
     let connects = Connects::new(CONNECTS.distance, kind).by(predicate);
     let mut total = [0, 0];
@@ -303,7 +303,7 @@ fn many_round_trips() {
     }
 }
 
-/// Minutes: the figure in docs/restir_pt.md.
+/// Minutes: the figure in `docs/restir_pt.md`.
 #[test]
 #[ignore = "takes minutes; its figure stands in docs/restir_pt.md"]
 fn long_round_trips() {

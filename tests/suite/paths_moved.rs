@@ -236,7 +236,8 @@ fn paths_are_unbiased_while_anything_moves() {
     };
     let near = "neighbours=2,radius=4,taps=random";
     let tree = "direct=tree,shade=selected";
-    let plan: [(&str, fn(&mut Scene, u32), &[&str]); 4] = [
+    type Row<'a> = (&'a str, fn(&mut Scene, u32), &'a [&'a str]);
+    let plan: [Row<'_>; 4] = [
         ("camera", camera, &[near, tree]),
         ("lamps", lamps, &["neighbours=0"]),
         ("surfaces", surfaces, &["neighbours=0,direct=tree,shade=selected"]),

@@ -2,8 +2,8 @@
 //! again in the destination's world where they do.
 //!
 //! There `x_r` moves with its instance, the direction from it stays, and all behind it follows the
-//! path's own numbers: T is the identity in them, and its \|∂T\| stays 1. The way back traces in the
-//! other world by the same numbers, so T⁻¹ finds the path that was left.
+//! path's own numbers: T is the identity in them, and its \|∂T\| stays 1. The way back traces in
+//! the other world by the same numbers, so T⁻¹ finds the path that was left.
 
 use glam::Vec3;
 

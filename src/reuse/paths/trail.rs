@@ -1,10 +1,10 @@
 //! Which pair of a path's vertices is the first that may be connected: the one rule that trees and
 //! shifts share.
 //!
-//! | predicate | what leaves v_{r−1} | what leaves x_r |
+//! | predicate | what leaves `v_{r−1}` | what leaves `x_r` |
 //! |---|---|---|
 //! | distance | α of `ℓ_{r−1}` ≥ 0.04, d ≥ d₀ | α of `ℓ_r` ≥ 0.04 |
-//! | footprint | α of `ℓ_{r−1}` ≥ 0.04, d² / (p̄(`ω_{r−1}`) \|cos at x_r\|) ≥ s | d² / (p̄(`ω_r`) \|cos at v_{r−1}\|) ≥ s, or all is diffuse |
+//! | footprint | α of `ℓ_{r−1}` ≥ 0.04, d² / (p̄(`ω_{r−1}`) \|cos at `x_r`\|) ≥ s | d² / (p̄(`ω_r`) \|cos at `v_{r−1}`\|) ≥ s, or all is diffuse |
 //!
 //! s = 2·10⁻⁴ · 4π t² / \|cos\| of the primary ray at v₀: what a pixel sees of the scene's surface by
 //! a lobe of all directions. Ends have no second condition.
@@ -28,7 +28,7 @@ impl Connects {
     }
 
     /// Whether a vertex may be left by a lobe, or by a light sample, which takes all: what the
-    /// surface says of x_r.
+    /// surface says of `x_r`.
     #[inline]
     fn second(&self, bsdf: &Bsdf, lobe: Option<u32>) -> bool {
         match (self.predicate, lobe) {
@@ -163,8 +163,8 @@ impl Trail {
             && self.onward(connects, &self.way, bsdf, total)
     }
 
-    /// The path leaves the vertex that it is at by a lobe, with p̄ = `total`, and p(ω, ℓ) where that
-    /// is asked for.
+    /// The path leaves the vertex that it is at by a lobe, with p̄ = `total`, and p(ω, ℓ) where
+    /// that is asked for.
     #[inline]
     pub(super) fn leave(&mut self, lobe: u8, rough: bool, total: f32, density: f32) {
         (self.lobe, self.rough, self.total, self.density) = (lobe, rough, total, density);
