@@ -6,8 +6,8 @@
 //! | distance | α of `ℓ_{r−1}` ≥ 0.04, d ≥ d₀ | α of `ℓ_r` ≥ 0.04 |
 //! | footprint | α of `ℓ_{r−1}` ≥ 0.04, d² / (p̄(`ω_{r−1}`) \|cos at `x_r`\|) ≥ s | d² / (p̄(`ω_r`) \|cos at `v_{r−1}`\|) ≥ s, or all is diffuse |
 //!
-//! s = 2·10⁻⁴ · 4π t² / \|cos\| of the primary ray at v₀: what a pixel sees of the scene's surface by
-//! a lobe of all directions. Ends have no second condition.
+//! s = 2·10⁻⁴ · 4π t² / \|cos\| of the primary ray at v₀: what a pixel sees of the scene's surface
+//! by a lobe of all directions. Ends have no second condition.
 
 use glam::Vec3;
 
