@@ -80,22 +80,22 @@ counters! {
     non_finite,
     /// Shifts of paths that failed since the replayed numbers scatter nothing there.
     failed_replay,
-    /// … since an earlier pair of vertices may be connected there.
+    /// Shifts of paths that failed since an earlier pair of vertices may be connected there.
     failed_earlier,
-    /// … since the path is shorter or longer there.
+    /// Shifts of paths that failed since the path is shorter or longer there.
     failed_length,
-    /// … since the lobe does not scatter, or is not rough there.
+    /// Shifts of paths that failed since the lobe does not scatter, or is not rough there.
     failed_lobe,
-    /// … since the vertices are too near.
+    /// Shifts of paths that failed since the vertices are too near.
     failed_near,
-    /// … since light would meet the back of a surface.
+    /// Shifts of paths that failed since light would meet the back of a surface.
     failed_back,
-    /// … since something stands between.
+    /// Shifts of paths that failed since something stands between.
     failed_occluded,
-    /// … since the light is not there.
+    /// Shifts of paths that failed since the light is not there.
     failed_light_gone,
-    /// … since the object is not there.
+    /// Shifts of paths that failed since the object is not there.
     failed_object_gone,
-    /// … since a product is not finite there.
+    /// Shifts of paths that failed since a product is not finite there.
     failed_not_finite,
 }

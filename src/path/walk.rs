@@ -254,7 +254,7 @@ impl<const LIGHTS: u8, F: HitFilter> Steps<'_, LIGHTS, F> {
         Some(Ending { light, emission, density, share })
     }
 
-    /// What each sky sends along a direction, with `scattered` as for [`Steps::ending`].
+    /// The light of each sky along a direction, with `scattered` as for [`Steps::ending`].
     #[inline(always)]
     pub fn skies(&self, scattered: Option<f32>, direction: Vec3) -> impl Iterator<Item = Ending> {
         self.world.lights.environments().map(move |(light, environment)| {

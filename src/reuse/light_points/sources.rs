@@ -47,7 +47,7 @@ impl Choice for LightTiles {
     }
 }
 
-/// What a technique asks for.
+/// The candidates that a technique asks for.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Supply {
     /// Light samples an estimate.
@@ -58,7 +58,7 @@ pub(crate) struct Supply {
     pub(crate) tiles: LightTiles,
 }
 
-/// What a plan gives.
+/// The candidates that a plan grants, after the scene's lights are known.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Supplied {
     /// Light samples an estimate.
@@ -120,7 +120,7 @@ impl Supply {
         }
     }
 
-    /// What a plan gives that [`Supply::plan`] was a part of.
+    /// The candidates of a plan that [`Supply::plan`] was a part of.
     pub(crate) fn supplied(&self, plan: &Plan) -> Supplied {
         let fixed = |name| plan.constant(name).expect("the plan fixes what its kernels ask for");
         Supplied {

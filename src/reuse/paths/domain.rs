@@ -28,11 +28,11 @@ pub(crate) struct Paths<'a, F> {
     pub(crate) retraces: bool,
 }
 
-/// What the initial pass fills reservoirs with.
+/// Where the initial pass takes paths and light points from.
 pub(crate) struct Fresh<'a> {
     /// Walks a chain whose paths are chosen from.
     pub(crate) walks: u32,
-    /// Of these walks.
+    /// The limits of these walks.
     pub(crate) limits: Limits,
     /// Where candidates for direct light come from; `None`: it is part of the walks.
     pub(crate) direct: Option<Sources<'a>>,

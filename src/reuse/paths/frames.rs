@@ -1,9 +1,9 @@
-//! What a path keeps, found again in another frame's world: its light, its place on a light, its
-//! surface, its sky.
+//! Lights, places on lights, surfaces and skies of a path are found again in another frame's world.
 
 use glam::{DMat3, Mat3A, Vec3};
 
-use super::shift::{Failure, PathReceiver, PathShift};
+use super::failure::Failure;
+use super::shift::{PathReceiver, PathShift};
 use crate::accel::{Hit, HitFilter, HitPoint};
 use crate::light::LightPoint;
 use crate::reuse::light_points::Time;

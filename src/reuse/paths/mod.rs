@@ -25,8 +25,10 @@
 //! our v₀.
 
 mod domain;
+mod failure;
 mod frames;
 mod record;
+mod replay;
 mod shift;
 mod suffix;
 mod trail;
@@ -35,8 +37,9 @@ mod tree;
 use glam::Vec3;
 
 pub(crate) use domain::{Fresh, Paths};
+pub use failure::Failure;
 pub use record::PathRecord;
-pub use shift::{Failure, PathReceiver, PathShift};
+pub use shift::{PathReceiver, PathShift};
 pub use tree::Tree;
 
 use crate::accel::Hit;
@@ -221,12 +224,10 @@ impl Connects {
         Self::new(0.01 * diagonal, ShiftKind::Hybrid)
     }
 
-    /// For a shift, with a least distance. A replay connects nothing, so no lobe is rough enough.
+    /// For a shift, with a least distance.
     #[must_use]
     pub fn new(distance: f32, kind: ShiftKind) -> Self {
-        let replay = kind == ShiftKind::Replay;
-        let roughness = if replay { f32::INFINITY } else { Self::ROUGHNESS };
-        Self { distance, roughness, kind, predicate: Predicate::Distance }
+        Self { distance, roughness: Self::ROUGHNESS, kind, predicate: Predicate::Distance }
     }
 
     /// The same by another predicate.

@@ -3,8 +3,10 @@
 
 use glam::Vec3;
 
+use super::failure::Failure;
+use super::replay::Replay;
 use super::suffix::{Suffix, light_again};
-use super::trail::{Trail, Way};
+use super::trail::Way;
 use super::{Anchor, Connects, Ending, NO_LOBE, PathSample, Reconnection, ShiftKind};
 use crate::accel::{AcceptAll, Hit, HitFilter, HitPoint};
 use crate::counters::Counters;
@@ -29,64 +31,6 @@ pub struct PathReceiver<'a> {
     pub hit: Hit,
 }
 
-/// Why a shift is undefined.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Failure {
-    /// The replayed numbers scatter nothing, or at a black surface.
-    Replay,
-    /// A pair before `x_r` may be connected here.
-    Earlier,
-    /// The replayed path leaves the scene, or ends where the other went on.
-    Length,
-    /// The lobe that is to be connected by does not scatter there, or is not rough here.
-    Lobe,
-    /// The pair is too near here.
-    Near,
-    /// Nothing is scattered or sent towards here: the back of a surface.
-    Back,
-    /// Something stands between.
-    Occluded,
-    /// The light is not there.
-    LightGone,
-    /// The object is not there.
-    ObjectGone,
-    /// A product left f32.
-    NotFinite,
-}
-
-impl Failure {
-    /// All of them.
-    pub const ALL: [Self; 10] = [
-        Self::Replay,
-        Self::Earlier,
-        Self::Length,
-        Self::Lobe,
-        Self::Near,
-        Self::Back,
-        Self::Occluded,
-        Self::LightGone,
-        Self::ObjectGone,
-        Self::NotFinite,
-    ];
-
-    /// Where shifts that failed for it are counted.
-    #[must_use]
-    pub const fn counter(self, counters: &mut Counters) -> &mut u64 {
-        match self {
-            Self::Replay => &mut counters.failed_replay,
-            Self::Earlier => &mut counters.failed_earlier,
-            Self::Length => &mut counters.failed_length,
-            Self::Lobe => &mut counters.failed_lobe,
-            Self::Near => &mut counters.failed_near,
-            Self::Back => &mut counters.failed_back,
-            Self::Occluded => &mut counters.failed_occluded,
-            Self::LightGone => &mut counters.failed_light_gone,
-            Self::ObjectGone => &mut counters.failed_object_gone,
-            Self::NotFinite => &mut counters.failed_not_finite,
-        }
-    }
-}
-
 /// The shift between the receivers of one frame, and of it and the previous one.
 ///
 /// \|∂T\| is the ratio of the [densities](Reconnection::density) of both paths: what the numbers of
@@ -106,15 +50,6 @@ pub struct PathShift<'a, F> {
     pub counters: Counters,
 }
 
-/// A path that is replayed, at a vertex.
-struct Replay {
-    vertex: Vertex,
-    number: u32,
-    trail: Trail,
-    /// Π f/p̄ so far.
-    throughput: Vec3,
-}
-
 /// How the vertex before `x_r` is left towards it.
 struct Left {
     way: Way,
@@ -126,11 +61,11 @@ struct Left {
 }
 
 /// What a connection gives.
-struct Connected {
-    integrand: Vec3,
-    ending: Ending,
-    reconnection: Option<Reconnection>,
-    jacobian: f32,
+pub(super) struct Connected {
+    pub(super) integrand: Vec3,
+    pub(super) ending: Ending,
+    pub(super) reconnection: Option<Reconnection>,
+    pub(super) jacobian: f32,
 }
 
 impl<'a, F: HitFilter> PathShift<'a, F> {
@@ -200,7 +135,7 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
             return self.replay_to_the_end(&steps, sample, to, sky);
         };
         let replay = self.replay(&steps, sample.seed, to, u32::from(kept.vertex) - 1)?;
-        // What stays the same on x_r may be worth more in the measure of the other frame.
+        // A place on x_r that stays the same may have another size in the other frame.
         let (connected, ratio) = match kept.anchor {
             Anchor::Point(point) => {
                 let (point, ratio) = self.point_there(point, from, to)?;
@@ -223,99 +158,6 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
             }
         };
         Ok(Connected { jacobian: connected.jacobian * ratio, ..connected })
-    }
-
-    /// Replays a path to vertex number `end`. No pair on the way may be connected.
-    fn replay<G: HitFilter>(
-        &mut self,
-        steps: &Steps<'_, { sampled::ONE }, G>,
-        seed: u64,
-        to: &PathReceiver<'_>,
-        end: u32,
-    ) -> Result<Replay, Failure> {
-        let world = steps.world;
-        let point = world.accel.point(&to.hit);
-        let vertex = Vertex::new(world, &to.hit, &point, to.direction).ok_or(Failure::Replay)?;
-        let mut replay =
-            Replay { vertex, number: 0, trail: Trail::default(), throughput: Vec3::ONE };
-        replay.trail.arrive(&self.connects, 0, &replay.vertex, (&point, to.hit.t));
-        while replay.number < end {
-            let (direction, _) = self.scatter(steps, seed, &mut replay)?;
-            let hit = steps.onward(&replay.vertex, direction, &mut self.counters);
-            let hit = hit.ok_or(Failure::Length)?;
-            let point = world.accel.point(&hit);
-            replay.number += 1;
-            replay.vertex = Vertex::new(world, &hit, &point, direction).ok_or(Failure::Replay)?;
-            replay.trail.arrive(&self.connects, replay.number, &replay.vertex, (&point, hit.t));
-        }
-        Ok(replay)
-    }
-
-    /// Scatters at the vertex of a replay by its own numbers. Fails where that connects its pair.
-    #[inline]
-    fn scatter<G: HitFilter>(
-        &self,
-        steps: &Steps<'_, { sampled::ONE }, G>,
-        seed: u64,
-        replay: &mut Replay,
-    ) -> Result<(Vec3, crate::surface::bsdf::BsdfSample), Failure> {
-        #[cfg(test)]
-        let _replay = crate::math::rng::recording::Replay::begin();
-        let Replay { vertex, number, trail, throughput } = replay;
-        let scattered = steps.scatter(vertex, (seed, *number)).ok_or(Failure::Replay)?;
-        let bsdf = &vertex.surface.bsdf;
-        let lobe = scattered.lobe.into();
-        if trail.connects(&self.connects, bsdf, Some(lobe), scattered.pdf) {
-            return Err(Failure::Earlier);
-        }
-        let rough = self.connects.is_rough(bsdf, lobe);
-        trail.leave(scattered.lobe, rough, scattered.pdf, 0.0);
-        *throughput *= scattered.value / scattered.pdf;
-        if *throughput == Vec3::ZERO {
-            return Err(Failure::Replay);
-        }
-        Ok((vertex.surface.frame.to_world(scattered.wi).normalize(), scattered))
-    }
-
-    /// The whole path by its numbers: as long, with an end of the same kind, and never connected.
-    fn replay_to_the_end<G: HitFilter>(
-        &mut self,
-        steps: &Steps<'_, { sampled::ONE }, G>,
-        sample: &PathSample,
-        to: &PathReceiver<'_>,
-        sky: u32,
-    ) -> Result<Connected, Failure> {
-        let mut replay = self.replay(steps, sample.seed, to, u32::from(sample.last))?;
-        let (direction, scattered) = self.scatter(steps, sample.seed, &mut replay)?;
-        let hit = steps.onward(&replay.vertex, direction, &mut self.counters);
-        let beside = scattered.beside_lights();
-        let (end, ending) = match (sample.ending, hit) {
-            (Ending::Emitter, Some(hit)) => {
-                let world = steps.world;
-                let (shape, element) = world.accel.shape_of(&hit);
-                let light = world.lights.of_surface(shape, element);
-                if light == NO_LIGHT {
-                    return Err(Failure::Length);
-                }
-                let point = world.accel.point(&hit);
-                let way = replay.trail.way_to(&point);
-                if replay.trail.rough && replay.trail.leaves_to(&self.connects, &way) {
-                    return Err(Failure::Earlier);
-                }
-                let end = steps.ending(&replay.vertex, beside, direction, light, &point);
-                (end.ok_or(Failure::Back)?, Ending::Emitter)
-            }
-            (Ending::Sky { .. }, None) => {
-                if replay.trail.rough {
-                    return Err(Failure::Earlier);
-                }
-                let end = steps.skies(beside, direction).nth(sky as usize);
-                (end.ok_or(Failure::LightGone)?, Ending::Sky { sky })
-            }
-            _ => return Err(Failure::Length),
-        };
-        let integrand = replay.throughput * end.emission * end.share;
-        Ok(Connected { integrand, ending, reconnection: None, jacobian: 1.0 })
     }
 
     /// All lobes at the vertex before `x_r` towards `direction`, and the joint density of
@@ -565,7 +407,7 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
     }
 }
 
-/// What `x_r` makes of the direction onward.
+/// The lobes of `x_r` in the direction onward.
 #[derive(Clone, Copy)]
 struct Onward {
     /// All lobes.
@@ -574,7 +416,8 @@ struct Onward {
     joint: f32,
 }
 
-/// What a vertex makes of a direction onward by `lobe`, or by all for a light sample.
+/// The lobes of a vertex in a direction onward, which is taken by `lobe`, or by all for a light
+/// sample.
 #[inline]
 fn onward_from(at: &Vertex, lobe: u8, direction: Vec3) -> Result<Onward, Failure> {
     let bsdf = &at.surface.bsdf;

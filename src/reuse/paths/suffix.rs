@@ -1,5 +1,5 @@
-//! What a path sends towards `x_r`: kept as it is where neither lights nor geometry move, traced
-//! again in the destination's world where they do.
+//! The part of a path behind `x_r` is kept as it is where neither lights nor geometry move, and
+//! traced again in the destination's world where they do.
 //!
 //! There `x_r` moves with its instance, the direction from it stays, and all behind it follows the
 //! path's own numbers: T is the identity in them, and its \|∂T\| stays 1. The way back traces in
@@ -7,16 +7,16 @@
 
 use glam::Vec3;
 
-use super::shift::Failure;
+use super::failure::Failure;
 use super::{Ending, PathSample, Reconnection};
-use crate::accel::HitFilter;
+use crate::accel::{Hit, HitFilter, HitPoint};
 use crate::counters::Counters;
 use crate::light::NO_LIGHT;
 #[cfg(test)]
 use crate::math::rng::recording::Replay;
-use crate::path::{LightSample, Steps, Vertex, sampled};
+use crate::path::{Ending as Found, LightSample, Steps, Vertex, sampled};
 
-/// What `x_r` scatters onward.
+/// The part of a path behind `x_r`.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Suffix {
     /// As [`Reconnection::direction`].
@@ -95,23 +95,9 @@ impl Suffix {
                 behind = Some(next);
                 continue;
             }
-            let (end, ending) = match (sample.ending, hit) {
-                (Ending::Emitter, Some(hit)) => {
-                    let (shape, element) = world.accel.shape_of(&hit);
-                    let light = world.lights.of_surface(shape, element);
-                    if light == NO_LIGHT {
-                        return Err(Failure::Length);
-                    }
-                    let point = world.accel.point(&hit);
-                    let end = steps.ending(at, scattered, direction, light, &point);
-                    (end.ok_or(Failure::Back)?, Ending::Emitter)
-                }
-                (Ending::Sky { .. }, None) => {
-                    let end = steps.skies(scattered, direction).nth(sky as usize);
-                    (end.ok_or(Failure::LightGone)?, Ending::Sky { sky })
-                }
-                _ => return Err(Failure::Length),
-            };
+            let left = (at, direction, scattered);
+            let There { found: end, ending, .. } =
+                end_there(steps, left, hit, (sample.ending, sky))?;
             let at_once = kept.vertex == sample.last;
             return Ok(Self {
                 direction: kept.direction,
@@ -140,4 +126,44 @@ pub(super) fn light_again<F: HitFilter>(
         return Err(Failure::LightGone);
     }
     steps.light(at, numbers, counters).ok_or(Failure::Occluded)
+}
+
+/// The end of a path in the destination's world.
+pub(super) struct There {
+    pub(super) found: Found,
+    pub(super) ending: Ending,
+    /// Its place; `None` for a sky.
+    pub(super) point: Option<HitPoint>,
+}
+
+/// The end that a vertex's direction finds at `hit`, or without one in sky number `sky`. It must be
+/// of the kind that the path had. `left` is the vertex, the direction, and its density as for
+/// [`Steps::ending`].
+pub(super) fn end_there<F: HitFilter>(
+    steps: &Steps<'_, { sampled::ONE }, F>,
+    left: (&Vertex, Vec3, Option<f32>),
+    hit: Option<Hit>,
+    (ending, sky): (Ending, u32),
+) -> Result<There, Failure> {
+    let (at, direction, scattered) = left;
+    match (ending, hit) {
+        (Ending::Emitter, Some(hit)) => {
+            let world = steps.world;
+            let (shape, element) = world.accel.shape_of(&hit);
+            let light = world.lights.of_surface(shape, element);
+            if light == NO_LIGHT {
+                return Err(Failure::Length);
+            }
+            let point = world.accel.point(&hit);
+            let found = steps.ending(at, scattered, direction, light, &point);
+            let found = found.ok_or(Failure::Back)?;
+            Ok(There { found, ending, point: Some(point) })
+        }
+        (Ending::Sky { .. }, None) => {
+            let found = steps.skies(scattered, direction).nth(sky as usize);
+            let found = found.ok_or(Failure::LightGone)?;
+            Ok(There { found, ending: Ending::Sky { sky }, point: None })
+        }
+        _ => Err(Failure::Length),
+    }
 }

@@ -11,7 +11,7 @@
 
 use glam::Vec3;
 
-use super::{Connects, Predicate};
+use super::{Connects, Predicate, ShiftKind};
 use crate::accel::HitPoint;
 use crate::path::Vertex;
 use crate::surface::bsdf::Bsdf;
@@ -21,10 +21,11 @@ use crate::surface::bsdf::Bsdf;
 const FOOTPRINT: f32 = 2e-4;
 
 impl Connects {
-    /// Whether a lobe is rough enough, which deltas never are.
+    /// Whether a vertex that is left by a lobe may be connected to the next one: deltas are never
+    /// rough enough, and a replay connects nothing.
     #[inline]
     pub(super) fn is_rough(&self, bsdf: &Bsdf, lobe: u32) -> bool {
-        bsdf.lobe_roughness(lobe) >= self.roughness
+        self.kind != ShiftKind::Replay && bsdf.lobe_roughness(lobe) >= self.roughness
     }
 
     /// Whether a vertex may be left by a lobe, or by a light sample, which takes all: what the
@@ -37,10 +38,8 @@ impl Connects {
             (Predicate::Distance, None) => {
                 (0..bsdf.lobe_count()).any(|lobe| self.is_rough(bsdf, lobe))
             }
-            (Predicate::Footprint, Some(lobe)) => {
-                self.roughness.is_finite() && !bsdf.is_delta(lobe)
-            }
-            (Predicate::Footprint, None) => self.roughness.is_finite() && bsdf.has_non_delta(),
+            (Predicate::Footprint, Some(lobe)) => !bsdf.is_delta(lobe),
+            (Predicate::Footprint, None) => bsdf.has_non_delta(),
         }
     }
 }
