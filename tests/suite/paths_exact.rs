@@ -1,5 +1,7 @@
 //! The shift of paths against derivatives in double precision, and against itself at length.
 
+use std::sync::Arc;
+
 use afterimage::accel::AcceptAll;
 use afterimage::frame::Stage;
 use afterimage::light::LightPoint;
@@ -7,16 +9,18 @@ use afterimage::math::rng::{Stream, path_seed};
 use afterimage::math::warp::sample_uniform_sphere;
 use afterimage::path::power_heuristic;
 use afterimage::resampling::ShiftMap;
+use afterimage::reuse::light_points::Time;
 use afterimage::reuse::paths::{
-    Anchor, Connects, Ending, PathReceiver, PathSample, PathShift, Predicate, ShiftKind,
+    Anchor, Connects, Ending, NO_LOBE, PathReceiver, PathSample, PathShift, Predicate,
+    Reconnection, ShiftKind,
 };
-use afterimage::scene::{Geometry, Scene, Shape};
+use afterimage::scene::{Geometry, Material, Roughness, Scene, Shape};
 use afterimage::world::World;
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::paths::{CONNECTS, drawn, receivers_at, rooms};
-use crate::support::{diffuse, environment, look_at, polygon};
+use crate::support::{diffuse, environment, look_at, metal, polygon, room};
 
 /// The ball's shape, and its object.
 const BALL: u32 = 4;
@@ -145,7 +149,7 @@ fn numbers(
 fn jacobians_are_determinants_of_the_numbers() {
     let stage = Stage::new(matt()).unwrap();
     let world = stage.first_world();
-    let all = receivers_at(world, afterimage::reuse::light_points::Time::Now);
+    let all = receivers_at(world, Time::Now);
     let mut shift = PathShift::new(&AcceptAll, CONNECTS, None);
     let mut random = Stream::from_key(31);
     let mut met = [0_u32; 5];
@@ -201,7 +205,7 @@ fn jacobians_are_determinants_of_the_numbers() {
 fn both_techniques_sum_to_one() {
     let stage = Stage::new(matt()).unwrap();
     let world = stage.first_world();
-    let all = receivers_at(world, afterimage::reuse::light_points::Time::Now);
+    let all = receivers_at(world, Time::Now);
     let mut shift = PathShift::new(&AcceptAll, CONNECTS, None);
     let mut random = Stream::from_key(32);
     let (mut met, mut stale) = (0, 0);
@@ -244,6 +248,67 @@ fn both_techniques_sum_to_one() {
     assert!(met > 200 && stale > 100, "{met} paths, {stale} tell a stale density");
 }
 
+/// A shifted path has the reconnection vertex that it would have as a path of its own: where the
+/// numbers that it shares with a fresh walk of the same seed make an earlier pair that may be
+/// connected, the shift is undefined. (Round trips do not see a shift that leaves this out, since
+/// both ways leave it out.)
+#[test]
+fn no_shift_passes_a_pair_that_may_be_connected() {
+    let (mut long, mut refused) = (0, 0);
+    let stage = Stage::new(mirrors()).unwrap();
+    let world = stage.first_world();
+    let all = receivers_at(world, Time::Now);
+    let mut shift = PathShift::new(&AcceptAll, CONNECTS, None);
+    let mut random = Stream::from_key(34);
+    for (pixel, from) in all.iter().enumerate() {
+        for walk in 0..200 {
+            let seed = path_seed(34, pixel as u32, 0, walk);
+            let Some(sample) = drawn(world, from, seed, &mut random).sample else { continue };
+            // The vertices that a shift leaves by the path's own numbers.
+            let replayed = match sample.reconnection {
+                Some(kept) => u32::from(kept.vertex).saturating_sub(1),
+                None => u32::from(sample.last) + 1,
+            };
+            if replayed < 2 {
+                continue;
+            }
+            long += 1;
+            for step in [1, 7, 24, 100] {
+                let to = &all[(pixel + step) % all.len()];
+                // A walk's paths that go on behind its first such pair say where it is.
+                let passes = (0..6).any(|_| {
+                    let there = drawn(world, to, seed, &mut random).sample;
+                    there.is_some_and(|there| {
+                        let kept = there.reconnection.filter(|kept| kept.vertex <= there.last);
+                        // A light sample at the vertex itself needs no lobe.
+                        let own = |kept: &Reconnection| kept.lobes[1] != NO_LOBE;
+                        kept.filter(own).is_some_and(|kept| u32::from(kept.vertex) < replayed)
+                    })
+                });
+                if passes {
+                    let shifted = shift.try_shift(&sample, from, to);
+                    assert!(shifted.is_err(), "{sample:?} passes a pair: {shifted:?}");
+                    refused += 1;
+                }
+            }
+        }
+    }
+    println!("{long} paths are replayed for two vertices and more, {refused} shifts pass a pair");
+    assert!(long > 500 && refused > 50, "{long} long paths, {refused} refused");
+}
+
+/// A room whose floor and balls are mirrors or glass, so that many vertices are replayed.
+fn mirrors() -> Scene {
+    let mut scene = room();
+    let (mirror, glossy) = (metal(&mut scene, 0.0), metal(&mut scene, 0.15));
+    let roughness = Roughness::SMOOTH;
+    let glass = scene.add_material(Material::Dielectric { eta: 1.5, roughness });
+    for (instance, material) in [(0, mirror), (2, mirror), (3, glossy), (5, glass), (6, mirror)] {
+        Arc::make_mut(&mut scene.objects[instance]).shapes[0].material = material;
+    }
+    scene
+}
+
 /// Shifts of `samples` paths of each room to `to` receivers each: all that are defined come back,
 /// by Jacobians whose product is 1, as what they were, in the stratum that they were in.
 fn trips((kind, predicate): (ShiftKind, Predicate), samples: u32, to: usize) -> [u64; 2] {
@@ -252,7 +317,7 @@ fn trips((kind, predicate): (ShiftKind, Predicate), samples: u32, to: usize) -> 
     for scene in rooms() {
         let stage = Stage::new(scene).unwrap();
         let world = stage.first_world();
-        let all = receivers_at(world, afterimage::reuse::light_points::Time::Now);
+        let all = receivers_at(world, Time::Now);
         let one = |number: u32| {
             let mut random = Stream::from_key(u64::from(number));
             let mut shift = PathShift::new(&AcceptAll, connects, None);

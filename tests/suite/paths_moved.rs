@@ -235,7 +235,7 @@ fn paths_are_unbiased_while_anything_moves() {
         surfaces(scene, i);
     };
     let near = "neighbours=2,radius=4,taps=random";
-    let tree = "direct=tree,shade=selected";
+    let tree = "direct=tree,shade=selected,trees=2";
     type Row<'a> = (&'a str, fn(&mut Scene, u32), &'a [&'a str]);
     let plan: [Row<'_>; 4] = [
         ("camera", camera, &[near, tree]),

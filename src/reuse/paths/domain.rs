@@ -60,10 +60,10 @@ impl<F: HitFilter + Sync> Paths<'_, F> {
         let normals: &mut [u32] = band.take_some(inputs.plan.id(NORMALS));
         for (local, pixel) in pixels.enumerate() {
             let own = local * chains as usize..(local + 1) * chains as usize;
-            let receiver = hits[pixel.index as usize].get().map(|hit| {
-                let direction = inputs.primary_direction(pixel);
-                (hit, Receiver::new(inputs.world, hit, direction, Time::Now))
-            });
+            let direction = inputs.primary_direction(pixel);
+            let receiver = hits[pixel.index as usize]
+                .get()
+                .map(|hit| (hit, Receiver::new(inputs.world, hit, direction, Time::Now)));
             if let Some(normal) = normals.get_mut(local) {
                 let surface = receiver.as_ref().map(|(_, receiver)| &receiver.surface().0);
                 *normal = surface.map_or(0, |surface| pack_normal(surface.frame.normal));
@@ -107,7 +107,7 @@ impl<F: HitFilter + Sync> Paths<'_, F> {
                     self.stream_walk(
                         &mut filling,
                         &fresh,
-                        (seed, &hit, pixel),
+                        (seed, (direction, &hit)),
                         &mut random,
                         &mut counters,
                     );
@@ -153,13 +153,12 @@ impl<F: HitFilter + Sync> Paths<'_, F> {
         &self,
         filling: &mut Filling,
         fresh: &Fresh<'_>,
-        (seed, hit, pixel): (u64, &Hit, Pixel),
+        (seed, primary): (u64, (Vec3, &Hit)),
         random: &mut Stream,
         counters: &mut Counters,
     ) {
         let world = self.frame.world;
         let steps = Steps::<{ sampled::ONE }, F> { world, filter: self.filter };
-        let primary = (self.frame.primary_direction(pixel), hit);
         let (walks, limits) = (fresh.walks, fresh.limits);
         let how = (seed, walks);
         let mut tree = Tree::new(world, self.connects, how, &mut filling.reservoir, random);

@@ -8,6 +8,7 @@ use crate::techniques::{Moving, Rung};
 pub(super) const RUNGS: &[Rung] = &[
     Rung::new("initial", "cap=0,neighbours=0,shade=selected", Moving::Still),
     Rung::new("initial, tree", "cap=0,neighbours=0,shade=selected,direct=tree", Moving::Still),
+    Rung::new("three trees", "cap=0,neighbours=0,shade=selected,trees=3", Moving::Still),
     Rung::new("roulette at once", "cap=0,neighbours=0,roulette=1", Moving::Still),
     Rung::new("spatial, constant", "cap=0,mis=constant", Moving::Still),
     Rung::new("spatial, inverse-count", "cap=0,mis=inverse-count,shade=selected", Moving::Still),
