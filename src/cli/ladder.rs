@@ -15,7 +15,7 @@ use crate::experiment::{
 use crate::plan::{Claim, Shot};
 use crate::report::{align, write_atomic};
 use crate::stats::{Part, Verdict};
-use crate::techniques::{self, REGISTRY};
+use crate::techniques::{self, Entry, REGISTRY};
 use crate::{Error, Result};
 
 /// Scenes of still rungs, the most telling first. `many_lights` takes as long as all others
@@ -48,9 +48,12 @@ pub(super) fn run(args: &VerifyArgs) -> Result<Status> {
         trial: Trial { keep, ..trial },
     };
     let (still, moving) = if args.scenes.is_empty() {
-        (sessions(args, &defaults(args, &STILL)?)?, sessions(args, &defaults(args, &MOVING)?)?)
+        (
+            sessions(args, entry, &defaults(args, &STILL)?)?,
+            sessions(args, entry, &defaults(args, &MOVING)?)?,
+        )
     } else {
-        let own = sessions(args, &args.scenes)?;
+        let own = sessions(args, entry, &args.scenes)?;
         (own.clone(), own)
     };
     let begin = Instant::now();
@@ -79,9 +82,9 @@ fn defaults(args: &VerifyArgs, all: &[&str]) -> Result<Vec<String>> {
     existing(if args.quick { &all[..1] } else { all })
 }
 
-fn sessions(args: &VerifyArgs, scenes: &[String]) -> Result<Vec<Session>> {
+fn sessions(args: &VerifyArgs, entry: &Entry, scenes: &[String]) -> Result<Vec<Session>> {
     let mut picture = args.picture.clone();
-    picture.depth = Some(picture.depth.unwrap_or(Ladder::DEPTH));
+    picture.depth = picture.depth.or_else(|| Ladder::depth(entry));
     scenes.iter().map(|scene| args.open(scene, &picture, None)).collect()
 }
 

@@ -66,7 +66,7 @@ pub(super) struct VerifyArgs {
     #[arg(long)]
     pub quick: bool,
     /// Verify SPEC as far as its parts go: a table of rungs, each with parameters and motion of its
-    /// own; depth 2 and 64x64 pixels unless given
+    /// own; 64x64 pixels unless given, and depth 2 where only direct light is the technique's own
     #[arg(long)]
     pub ladder: bool,
     /// Only the rung of this name, or rungs whose name contains it; `still`: all without motion

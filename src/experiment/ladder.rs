@@ -172,9 +172,12 @@ impl Task<'_> {
 }
 
 impl Ladder {
-    /// Path segments that rungs are usually run with: direct light, which is what samples of lights
-    /// can make. Everything longer hides it behind noise.
-    pub const DEPTH: u32 = 2;
+    /// Path segments that a technique's rungs are usually run with: 2 where only direct light is
+    /// its own, since everything longer would hide it behind noise; `None`: the scene's.
+    #[must_use]
+    pub fn depth(entry: &Entry) -> Option<u32> {
+        entry.direct.then_some(2)
+    }
 
     /// Runs the rungs of a technique, registered or not, whose own parameters are `keys`
     /// (`key=value,key=value`); `each` gets every row as soon as it is found. A host that stops the

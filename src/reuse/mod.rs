@@ -14,7 +14,8 @@
 //! | temporal | reservoirs, the previous frame's history | reservoirs, in place |
 //! | boiling | reservoirs of a tile | reservoirs, in place; biased |
 //! | mutate | reservoirs | reservoirs, in place |
-//! | spatial | reservoirs | history (the last round, which also shades) |
+//! | shifts | reservoirs | each sample as the pixel's partners see it, where that is shared |
+//! | spatial | reservoirs, shifts | history (the last round, which also shades) |
 //! | shade | reservoirs | radiance, where there is no spatial pass |
 //!
 //! Laws that the passes keep for any domain and policy:
@@ -30,6 +31,7 @@
 
 mod boiling;
 mod control;
+mod exchange;
 pub mod light_points;
 mod mutate;
 pub(crate) mod parameters;
@@ -39,6 +41,7 @@ pub mod policy;
 mod shade;
 mod spatial;
 mod surfaces;
+mod taps;
 mod temporal;
 pub(crate) mod twin;
 
@@ -55,7 +58,7 @@ use crate::accel::Hit;
 use crate::counters::Counters;
 use crate::math::rng::{Purpose, RandomSource, Stream};
 use crate::pass::{FrameInputs, Pixel};
-use crate::resampling::{Finished, Input, Measure, ShiftMap};
+use crate::resampling::{Finished, Input, Measure, ShiftMap, Shifted};
 use policy::Policy;
 
 /// A finished reservoir as it lies in a buffer. All zeros is an empty record without confidence.
@@ -91,6 +94,13 @@ pub(crate) trait StoredReservoir: Pod + Send + Sync {
 
     /// The same without its sample; its confidence stays.
     fn emptied(&self) -> Self;
+
+    /// What a sample is like at another receiver of its frame: all that [`Self::arrived`] does not
+    /// find in the record that it came from.
+    fn slot(shifted: &Shifted<Self::Sample, Vec3>) -> [f32; 4];
+
+    /// The record's sample at the receiver of a slot; `None` where its shift is undefined.
+    fn arrived(&self, slot: [f32; 4]) -> Option<Shifted<Self::Sample, Vec3>>;
 }
 
 /// What the passes must know of a kind of sample. A domain is made for one frame, so its receivers

@@ -15,15 +15,19 @@ pub enum Taps {
     /// samples in pairs, so no sample is taken by many pixels at once.
     #[default]
     Xor,
+    /// Pixels swap their samples in pairs that are drawn at random in blocks as wide as the radius
+    /// asks for; whether two surfaces fit is asked once for both.
+    Pairs,
 }
 
 impl Choice for Taps {
-    const ALL: &'static [Self] = &[Self::Random, Self::Xor];
+    const ALL: &'static [Self] = &[Self::Random, Self::Xor, Self::Pairs];
 
     fn name(self) -> &'static str {
         match self {
             Self::Random => "random",
             Self::Xor => "xor",
+            Self::Pairs => "pairs",
         }
     }
 }
@@ -144,7 +148,7 @@ macro_rules! reuse_rows {
                 $technique,
                 "taps",
                 choice $($settings.)? taps: $crate::reuse::Taps,
-                "which they are: each pixel its own, or pixels exchange in pairs by one offset a frame"
+                "which they are: each pixel its own, or pixels exchange in pairs, by one offset a frame or at random"
             ),
             $crate::spec::row!($technique, "rounds", $($settings.)? rounds: 1..=8, "rounds of spatial reuse"),
             $crate::spec::row!(

@@ -2,7 +2,7 @@
 //! all of it once, for plans, kernels and twins.
 
 use super::policy::Policy;
-use super::{Control, SpatialUse, StoredReservoir, boiling};
+use super::{Control, SpatialUse, StoredReservoir, Taps, boiling};
 use crate::pass::FrameInputs;
 use crate::plan::{BufferId, BufferKey, Builder, Domain, Elements, Grid, NewPass, Plan, Runs};
 use crate::resampling::Family;
@@ -15,6 +15,9 @@ pub(crate) const NORMALS: BufferKey<u32> = BufferKey::new("normals");
 pub(crate) const CONTROLS: BufferKey<Control> = BufferKey::new("controls");
 const BOUNCE_CONTROLS: BufferKey<Control> = BufferKey::new("bounce controls");
 const HISTORY_CONTROLS: BufferKey<Control> = BufferKey::new("history controls");
+
+/// Shifts made once for two pixels ([`super::exchange`]).
+pub(crate) const SHIFTS: BufferKey<[f32; 4]> = BufferKey::new("shifts");
 
 /// Keys of the buffers of records.
 pub(crate) struct Keys<R>(std::marker::PhantomData<R>);
@@ -163,6 +166,8 @@ pub(crate) mod kernel {
     pub(crate) const SHADE: u32 = 12;
     /// Round 0 of [`super::super::spatial`]; others follow.
     pub(crate) const SPATIAL: u32 = 16;
+    /// Round 0 of [`super::super::exchange`]; others follow.
+    pub(crate) const SHIFTS: u32 = 32;
 }
 
 /// What the initial pass and the shifts of a domain may take.
@@ -174,6 +179,8 @@ pub(crate) struct Initial {
     pub(crate) shift_bounces: u64,
     /// More shadow rays of a shift between two frames.
     pub(crate) between_frames: u64,
+    /// Whether shifts between pixels that swap their samples are made once for both.
+    pub(crate) shares: bool,
 }
 
 /// The buffers of reuse in a plan.
@@ -287,17 +294,29 @@ pub(crate) fn add<R: StoredReservoir, P: Policy>(
     } else if settings.cap > 0 && mature(settings, still) > 0 {
         plan.skip("neighbours of pixels with history enough (`mature`)", "nothing moves");
     }
+    let k = u64::from(settings.neighbours);
+    let shares = initial.shares && settings.taps != Taps::Random;
+    let shared = (shares && k > 0).then(|| {
+        let slots = plan.shot.chains() * settings.neighbours;
+        plan.buffer_of(SHIFTS, slots, Elements::Pixels, false)
+    });
     for round in rounds(settings) {
         let mut writes = buffers.at(round.to, round.controls().1);
         writes.extend(round.last.then_some(Plan::RADIANCE));
-        let k = u64::from(settings.neighbours);
+        let mut merged = shifts(settings.mis, k);
+        if let Some(shared) = shared {
+            merged = shifts_of_others(settings.mis, k);
+            let pass = NewPass::pixels("shifts", kernel::SHIFTS + round.number, vec![shared]);
+            let rays = k * count(P::IN_TARGET);
+            plan.pass(pass.rays(k * chains * initial.shift_bounces, rays, 0));
+        }
         let terms = if P::IN_TARGET {
-            shifts(settings.mis, k)
+            merged
         } else {
             k * u64::from(P::TRACES_TERMS || (round.last && settings.decoupled))
         };
         let rays = terms * chains + count(P::SHADES_BY_RAY && round.last);
-        let bounces = shifts(settings.mis, k) * chains * initial.shift_bounces;
+        let bounces = merged * chains * initial.shift_bounces;
         let kernel = kernel::SPATIAL + round.number;
         plan.pass(NewPass::pixels("spatial", kernel, writes).rays(bounces, rays, 0));
     }
@@ -309,6 +328,16 @@ fn shifts(family: Family, k: u64) -> u64 {
         Family::Constant => k,
         Family::Balance => k * (k + 1),
         _ => 2 * k,
+    }
+}
+
+/// Most of them between two of the others: all that is left where those from and to the canonical
+/// receiver are known.
+fn shifts_of_others(family: Family, k: u64) -> u64 {
+    match family {
+        Family::Balance => k * (k - 1),
+        Family::InverseCount | Family::Contribution => k - 1,
+        Family::Constant | Family::Pairwise | Family::DefensivePairwise => 0,
     }
 }
 

@@ -7,37 +7,107 @@ use glam::Vec3;
 
 use super::passes::{self, Keys, Round};
 use super::policy::Policy;
-use super::surfaces::{Offsets, Similar, Tap};
-use super::{Control, Domain, InputOf, MAX_NEIGHBOURS, Reuse, StoredReservoir, input};
+use super::surfaces::Similar;
+use super::taps::{Offsets, Tap};
+use super::{Control, Domain, InputOf, MAX_NEIGHBOURS, Reuse, StoredReservoir, Taps, input};
 use crate::counters::Counters;
 use crate::math::rng::{Purpose, Stream};
 use crate::pass::{Band, Pixel, PrimaryHit};
 use crate::path::finite_or_counted;
 use crate::plan::Plan;
 use crate::resampling::{
-    ControlVariate, DecoupledState, Estimator, Finished, OtherInputs, Plain, Reservoir, Term,
-    WithRadiance, WithVisibility, merge,
+    ControlVariate, DecoupledState, Estimator, Finished, Integrand, OtherInputs, Plain, Reservoir,
+    Shifted, Term, WithRadiance, WithVisibility, merge,
 };
 
 /// The reservoir of a merge, which averages visibility and sums contributions.
 type Rich<S> = WithRadiance<WithVisibility<Plain<S>>>;
 
 /// What all pixels of a round read.
-struct RoundInputs<'r, R> {
-    records: &'r [R],
-    hits: &'r [PrimaryHit],
+pub(super) struct RoundInputs<'r, R> {
+    pub(super) records: &'r [R],
+    pub(super) hits: &'r [PrimaryHit],
     normals: &'r [u32],
-    offsets: Offsets,
+    pub(super) offsets: Offsets,
     /// A pixel of more confidence than this goes without its neighbours. Confidence depends on
     /// where surfaces were found again, and on no sample.
     mature: f32,
+    /// Whether two surfaces must fit from both sides.
+    mutual: bool,
+    /// Shifts that are known already; none where merges make their own.
+    shifts: &'r [[f32; 4]],
+    chains: usize,
+    /// Taps of a pixel.
+    taps: usize,
+}
+
+impl<'r, R: StoredReservoir> RoundInputs<'r, R> {
+    /// Those of a round.
+    pub(super) fn new<D: Domain<Record = R>, P: Policy>(
+        reuse: &'r Reuse<'_, D, P>,
+        round: Round,
+    ) -> Self {
+        let (inputs, settings) = (reuse.domain.frame(), &reuse.settings);
+        let shifts = inputs.plan.id(passes::SHIFTS);
+        Self {
+            records: inputs.at(Keys::<R>::at(round.from)),
+            hits: inputs.read(Plan::HITS),
+            normals: inputs.at(passes::NORMALS),
+            offsets: Offsets::new(inputs, settings, round.number),
+            mature: match passes::mature(settings, inputs.plan.still) {
+                0 => f32::INFINITY,
+                // The canonical sample of this frame counts as one more.
+                frames => frames as f32,
+            },
+            mutual: settings.taps == Taps::Pairs,
+            shifts: shifts.map_or(&[], |id| inputs.read(id)),
+            chains: reuse.chains,
+            taps: settings.neighbours as usize,
+        }
+    }
+
+    /// Whether a pixel takes from neighbours at all.
+    #[inline]
+    pub(super) fn takes(&self, index: u32) -> bool {
+        let confidence = self.records[index as usize * self.chains].confidence();
+        confidence > 0.0 && confidence <= self.mature
+    }
+
+    /// Comparisons with the surface at a pixel.
+    #[inline]
+    pub(super) fn similar(&self, index: u32) -> Similar<'r> {
+        Similar::new(self.hits, self.normals, index)
+    }
+
+    /// Whether the pixel whose surface is `own` may take from another one, and that one from it.
+    #[inline]
+    pub(super) fn fit(&self, own: &Similar<'_>, other: u32) -> [bool; 2] {
+        let scatters = self.records[other as usize * self.chains].confidence() > 0.0;
+        let [here, there] = own.both_ways(other);
+        let both = here && there;
+        [here, there].map(|side| scatters && if self.mutual { both } else { side })
+    }
+
+    /// The receiver at a pixel with confidence.
+    #[inline]
+    pub(super) fn receiver<D: Domain>(&self, domain: &D, index: u32) -> D::Receiver {
+        let width = domain.frame().shot.size[0];
+        let hit = self.hits[index as usize].get().expect("a surface, since it has confidence");
+        domain.receiver(hit, Pixel { index, x: index % width, y: index / width })
+    }
+
+    /// Where the shift of a pixel's chain to the partner of a tap is.
+    #[inline]
+    pub(super) fn slot(&self, index: u32, chain: usize, tap: u32) -> usize {
+        (index as usize * self.chains + chain) * self.taps + tap as usize
+    }
 }
 
 /// The taps of a pixel that fit.
 struct Found<'r, D: Domain> {
     domain: &'r D,
-    records: &'r [D::Record],
-    hits: &'r [PrimaryHit],
+    read: &'r RoundInputs<'r, D::Record>,
+    pixel: u32,
     taps: [Tap; MAX_NEIGHBOURS],
     count: usize,
 }
@@ -46,12 +116,12 @@ struct Found<'r, D: Domain> {
 struct Neighbours<'f, 'r, D: Domain> {
     found: &'f Found<'r, D>,
     chain: usize,
-    chains: usize,
 }
 
 impl<'r, D: Domain> Neighbours<'_, 'r, D> {
     fn record(&self, at: usize) -> &'r D::Record {
-        &self.found.records[self.found.taps[at].index as usize * self.chains + self.chain]
+        let Found { read, taps, .. } = self.found;
+        &read.records[taps[at].index as usize * read.chains + self.chain]
     }
 }
 
@@ -80,11 +150,25 @@ impl<D: Domain> OtherInputs<D::Sample, D::Receiver, D::Measure, Vec3> for Neighb
 
     #[inline]
     fn domain(&self, at: usize) -> D::Receiver {
-        let Found { domain, hits, taps, .. } = self.found;
-        let index = taps[at].index;
-        let width = domain.frame().shot.size[0];
-        let hit = hits[index as usize].get().expect("a surface, since it has confidence");
-        domain.receiver(hit, Pixel { index, x: index % width, y: index / width })
+        let Found { domain, read, taps, .. } = self.found;
+        read.receiver(*domain, taps[at].index)
+    }
+
+    #[inline]
+    fn arriving(&self, at: usize) -> Option<Option<Shifted<D::Sample, Vec3>>> {
+        let Found { read, taps, .. } = self.found;
+        let Tap { index, number, .. } = taps[at];
+        let slot = read.shifts.get(read.slot(index, self.chain, number))?;
+        Some(self.record(at).arrived(*slot))
+    }
+
+    #[inline]
+    fn leaving(&self, at: usize) -> Option<f32> {
+        let Found { read, pixel, taps, .. } = self.found;
+        let slot = read.shifts.get(read.slot(*pixel, self.chain, taps[at].number))?;
+        let record = &read.records[*pixel as usize * read.chains + self.chain];
+        let there = record.arrived(*slot);
+        Some(there.map_or(0.0, |there| there.integrand.target() * there.jacobian))
     }
 }
 
@@ -117,17 +201,7 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
         let mut counters = Counters::default();
         let (inputs, chains) = (self.domain.frame(), self.chains);
         let round = Round::new(&self.settings, round);
-        let read = RoundInputs {
-            records: inputs.at(Keys::<D::Record>::at(round.from)),
-            hits: inputs.read(Plan::HITS),
-            normals: inputs.at(passes::NORMALS),
-            offsets: Offsets::new(inputs, &self.settings, round.number),
-            mature: match passes::mature(&self.settings, inputs.plan.still) {
-                0 => f32::INFINITY,
-                // The canonical sample of this frame counts as one more.
-                frames => frames as f32,
-            },
-        };
+        let read = RoundInputs::new(self, round);
         let pixels = band.pixels();
         let out: &mut [D::Record] =
             band.take_some(round.to.map(|place| inputs.id(Keys::<D::Record>::at(place))));
@@ -162,13 +236,13 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
             let receiver = self.domain.receiver(hit, pixel);
             let mut found = Found {
                 domain: self.domain,
-                records: read.records,
-                hits: read.hits,
+                read: &read,
+                pixel: pixel.index,
                 taps: [Tap::default(); MAX_NEIGHBOURS],
                 count: 0,
             };
-            if read.records[first].confidence() <= read.mature {
-                self.find(&read, pixel, &mut found, &mut counters);
+            if read.takes(pixel.index) {
+                self.find(pixel, &mut found, &mut counters);
             }
             let mut sum = Vec3::ZERO;
             for (chain, at) in own.enumerate() {
@@ -179,7 +253,7 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
                 };
                 let own =
                     Own::<D> { record: read.records[first + chain], control, receiver: &receiver };
-                let others = Neighbours { found: &found, chain, chains };
+                let others = Neighbours { found: &found, chain };
                 let mut random = self.stream(pixel, Purpose::Selection, 16 + round.number, chain);
                 let outcome = self.merge_neighbours(
                     round,
@@ -208,21 +282,11 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
 
     /// Finds the taps of a pixel whose surfaces fit.
     #[inline]
-    fn find(
-        &self,
-        read: &RoundInputs<'_, D::Record>,
-        pixel: Pixel,
-        found: &mut Found<'_, D>,
-        counters: &mut Counters,
-    ) {
-        let (inputs, chains) = (self.domain.frame(), self.chains);
-        let similar = Similar::new(read.hits, read.normals, pixel);
-        read.offsets.visit(inputs, pixel, |tap| {
-            let fits = |tap: &Tap| {
-                read.records[tap.index as usize * chains].confidence() > 0.0
-                    && similar.holds(tap.index)
-            };
-            match tap.filter(fits) {
+    fn find(&self, pixel: Pixel, found: &mut Found<'_, D>, counters: &mut Counters) {
+        let read = found.read;
+        let own = read.similar(pixel.index);
+        read.offsets.visit(self.domain.frame(), pixel, |tap| {
+            match tap.filter(|tap| read.fit(&own, tap.index)[0]) {
                 Some(tap) => {
                     found.taps[found.count] = tap;
                     found.count += 1;
@@ -230,7 +294,7 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
                 None => counters.reuse_rejected += 1,
             }
         });
-        counters.spatial_merges += (found.count * chains) as u64;
+        counters.spatial_merges += (found.count * self.chains) as u64;
     }
 
     /// Merges one chain of a pixel with that of its neighbours.

@@ -6,7 +6,8 @@
 // | LAST | shades |
 // | KEPT | writes the merged reservoirs |
 // | TRACED | traces a ray to each neighbour's sample |
-// | XOR | takes its taps by exchanges |
+// | XOR, PAIRS | takes its taps by exchanges, or by pairs in blocks, for which two surfaces must fit
+// from both sides |
 // | DECOUPLED | shows all inputs, not the selected one |
 // | CONTROL, CONTROL_KEPT | has an estimate beside the reservoir, writes it |
 
@@ -128,20 +129,25 @@ fn spatial(pixel: u32, x: u32, y: u32) {
 fn find_taps(m: ptr<function, Merge>, distance: f32, pixel: u32, x: u32, y: u32) -> u32 {
     var found = 0u;
     let normal = normal_at(pixel);
-    //#if !XOR
+    //#if !SWAPS
     var random = stream_of(pixel, PURPOSE_NEIGHBOURS, ROUND);
     //#endif
     for (var i = 0u; i < NEIGHBOURS; i++) {
-        //#if XOR
-        let tap = exchanged_tap(x, y, i);
+        //#if SWAPS
+        let tap = partner_tap(x, y, i);
         //#else
         let tap = random_tap(x, y, &random);
         //#endif
         var fits = tap.pixel != NONE;
         if fits {
             let record = read_record(buffer_now(B_FROM), chain_place(tap.pixel, 0u));
+            let normal_there = normal_at(tap.pixel);
+            let distance_there = primary_hit(tap.pixel).t;
             fits = record_confidence(record) > 0.0
-                && similar(normal, distance, normal_at(tap.pixel), primary_hit(tap.pixel).t);
+                && similar(normal, distance, normal_there, distance_there);
+            //#if PAIRS
+            fits = fits && similar(normal_there, distance_there, normal, distance);
+            //#endif
         }
         if fits {
             found += 1u;

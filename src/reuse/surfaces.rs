@@ -1,16 +1,13 @@
 //! Which pixels may share their samples: the pixel that saw a surface in the previous frame, and
-//! the neighbours whose surfaces are similar.
+//! those whose surfaces are similar.
 //!
 //! All of it depends on surfaces and fresh numbers alone (law 1 of [`super`]).
 
 use glam::{Vec2, Vec3};
 
-use super::Taps;
-use super::parameters::Settings;
 use super::passes::NORMALS;
 use crate::accel::Hit;
-use crate::math::rng::{Purpose, RandomSource, Stream};
-use crate::math::warp::sin_cos_turn;
+use crate::math::rng::{Purpose, RandomSource};
 use crate::math::{octahedral_decode, octahedral_encode};
 use crate::pass::{FrameInputs, Pixel, PrimaryHit};
 use crate::plan::Plan;
@@ -71,89 +68,6 @@ pub(super) fn reproject(
     similar(normal, distance, normal_there, found.t).then_some((previous, found))
 }
 
-/// A neighbour of a pixel.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Tap {
-    /// The neighbour's pixel.
-    pub(super) index: u32,
-    /// How far away it is in pixels, along the axis where it is farther.
-    pub(super) distance: u32,
-}
-
-/// The offsets of one round of spatial reuse.
-pub(super) struct Offsets {
-    round: u32,
-    count: u32,
-    radius: f32,
-    /// Shift and mask of each tap, for [`Taps::Xor`].
-    exchanges: Option<[([u32; 2], [u32; 2]); super::MAX_NEIGHBOURS]>,
-}
-
-impl Offsets {
-    /// Those of a round of a frame.
-    pub(super) fn new(inputs: &FrameInputs<'_>, settings: &Settings, round: u32) -> Self {
-        let Settings { neighbours, radius, taps, .. } = *settings;
-        let exchanges = (taps == Taps::Xor).then(|| {
-            std::array::from_fn(|tap| {
-                let mut random = inputs.stream(tap as u32, Purpose::Taps, round);
-                exchange(&mut random, radius)
-            })
-        });
-        Self { round, count: neighbours, radius, exchanges }
-    }
-
-    /// Calls `each` with every tap of a pixel, `None` where it lies outside of the picture or at
-    /// the pixel itself.
-    #[inline]
-    pub(super) fn visit(
-        &self,
-        inputs: &FrameInputs<'_>,
-        pixel: Pixel,
-        mut each: impl FnMut(Option<Tap>),
-    ) {
-        let size = inputs.shot.size;
-        if let Some(exchanges) = &self.exchanges {
-            for ([sx, sy], [mx, my]) in exchanges.iter().take(self.count as usize) {
-                let partner = |at: u32, shift: &u32, mask: &u32| {
-                    (at.wrapping_add(*shift) ^ mask).wrapping_sub(*shift).wrapping_sub(at) as i32
-                };
-                each(tap(size, pixel, partner(pixel.x, sx, mx), partner(pixel.y, sy, my)));
-            }
-            return;
-        }
-        let mut random = inputs.stream(pixel.index, Purpose::Neighbours, self.round);
-        for _ in 0..self.count {
-            let radius = self.radius * random.uniform().sqrt();
-            let (sin, cos) = sin_cos_turn(random.uniform());
-            each(tap(size, pixel, (radius * cos).round() as i32, (radius * sin).round() as i32));
-        }
-    }
-}
-
-/// Shift s and mask m of an exchange: x ↦ ((x + s) xor m) − s is its own inverse, so pixels
-/// exchange their samples in pairs, and moves each coordinate by at most its mask. Masks are
-/// uniform over the quarter of a disk of the radius.
-fn exchange(random: &mut Stream, radius: f32) -> ([u32; 2], [u32; 2]) {
-    let r = radius * random.uniform().sqrt();
-    let (sin, cos) = sin_cos_turn(0.25 * random.uniform());
-    let mask = [(r * cos).round() as u32, (r * sin).round() as u32];
-    // A mask of zeros would leave every pixel with itself.
-    let mask = if mask == [0, 0] { [1, 0] } else { mask };
-    ([random.word(), random.word()], mask)
-}
-
-/// The pixel (dx, dy) away, if it is another one of the picture.
-#[inline]
-fn tap([width, height]: [u32; 2], pixel: Pixel, dx: i32, dy: i32) -> Option<Tap> {
-    let (x, y) = (i64::from(pixel.x) + i64::from(dx), i64::from(pixel.y) + i64::from(dy));
-    let [across, down] = [width, height].map(i64::from);
-    let inside = (0..across).contains(&x) && (0..down).contains(&y) && (dx, dy) != (0, 0);
-    inside.then(|| Tap {
-        index: (y * across + x) as u32,
-        distance: dx.unsigned_abs().max(dy.unsigned_abs()),
-    })
-}
-
 /// The surfaces of a frame's pixels, for comparisons with one of them.
 #[derive(Clone, Copy)]
 pub(super) struct Similar<'a> {
@@ -166,21 +80,20 @@ pub(super) struct Similar<'a> {
 impl<'a> Similar<'a> {
     /// Comparisons with the surface at a pixel.
     #[inline]
-    pub(super) fn new(hits: &'a [PrimaryHit], normals: &'a [u32], pixel: Pixel) -> Self {
-        let at = pixel.index as usize;
+    pub(super) fn new(hits: &'a [PrimaryHit], normals: &'a [u32], index: u32) -> Self {
+        let at = index as usize;
         Self { hits, normals, distance: hits[at].distance(), normal: unpack_normal(normals[at]) }
     }
 
-    /// Whether the surface at another pixel is similar.
+    /// Whether the surface at another pixel is similar as seen from here, and this one from there.
     #[inline]
-    pub(super) fn holds(&self, index: u32) -> bool {
+    pub(super) fn both_ways(&self, index: u32) -> [bool; 2] {
         let at = index as usize;
-        similar(
-            self.normal,
-            self.distance,
-            unpack_normal(self.normals[at]),
-            self.hits[at].distance(),
-        )
+        let (normal, distance) = (unpack_normal(self.normals[at]), self.hits[at].distance());
+        [
+            similar(self.normal, self.distance, normal, distance),
+            similar(normal, distance, self.normal, self.distance),
+        ]
     }
 }
 
@@ -197,101 +110,13 @@ mod tests {
     use crate::pass::Band;
     use crate::plan::{BufferKey, Builder, Claim, Elements, Filter, NewPass, SceneFacts, Shot};
     use crate::scene::{Color, Geometry, Material, Scene, Shape, Transform};
-    use crate::techniques::{Technique, parse};
+    use crate::techniques::Technique;
 
     #[test]
     fn normals_come_back_to_a_ten_thousandth() {
         for n in [Vec3::X, -Vec3::Y, Vec3::Z, -Vec3::Z, Vec3::new(0.3, -0.8, -0.2).normalize()] {
             assert!((unpack_normal(pack_normal(n)) - n).length() < 2e-4, "{n}");
         }
-    }
-
-    /// Distances of neighbours are those of points spread uniformly over a disk: the mean of their
-    /// squares is half the radius's, in all directions alike. Masks of exchanges, too. (A radius
-    /// in proportion to u in place of its root has a third.)
-    #[test]
-    fn neighbours_are_spread_uniformly_over_a_disk() {
-        const RADIUS: f32 = 200.0;
-        let stage = Stage::new(Scene::new("empty")).unwrap();
-        let shot = Shot {
-            size: [1000, 1000],
-            depth: 2,
-            filter: Filter::Point,
-            run: 3,
-            effort: 1.0,
-            fps: 30,
-        };
-        let spec = "restir-di:taps=random,neighbours=4";
-        let plan = parse(spec).unwrap().plan(stage.facts(), &shot);
-        let world = stage.first_world();
-        let camera = world.scene.camera.rays(shot.size);
-        let inputs = FrameInputs {
-            world,
-            previous: None,
-            shot,
-            plan: &plan,
-            camera,
-            motion: None,
-            frame: 0,
-            buffers: &[],
-        };
-        let settings =
-            Settings { neighbours: 4, radius: RADIUS, taps: Taps::Random, ..Settings::default() };
-        let mut means = [[0.0_f64; 3]; 2];
-        let mut count = 0.0;
-        for round in 0..2 {
-            let offsets = Offsets::new(&inputs, &settings, round);
-            for at in 0..20_000 {
-                let (x, y) = (300 + at % 400, 300 + at / 400);
-                offsets.visit(&inputs, Pixel { index: y * 1000 + x, x, y }, |tap| {
-                    let Some(tap) = tap else { return };
-                    let there = [(tap.index % 1000) as f64, (tap.index / 1000) as f64];
-                    let [dx, dy] = [there[0] - f64::from(x), there[1] - f64::from(y)]
-                        .map(|d| d / f64::from(RADIUS));
-                    let farther = f64::from(RADIUS) * dx.abs().max(dy.abs());
-                    assert!((f64::from(tap.distance) - farther).abs() < 1e-6);
-                    means[0][0] += dx * dx + dy * dy;
-                    means[0][1] += dx;
-                    means[0][2] += dy;
-                    count += 1.0;
-                });
-            }
-        }
-        let exchanges = 20_000;
-        for key in 0..exchanges {
-            let (_, mask) = exchange(&mut Stream::from_key(key), RADIUS);
-            let [mx, my] = mask.map(|m| f64::from(m) / f64::from(RADIUS));
-            means[1][0] += mx * mx + my * my;
-            means[1][1] += mx * mx - my * my;
-        }
-        means[0].iter_mut().for_each(|mean| *mean /= count);
-        means[1].iter_mut().for_each(|mean| *mean /= exchanges as f64);
-        // Standard errors are 0.001 and 0.002.
-        assert!((means[0][0] - 0.5).abs() < 0.005, "{means:?}");
-        assert!(means[0][1].abs() < 0.01 && means[0][2].abs() < 0.01, "{means:?}");
-        assert!((means[1][0] - 0.5).abs() < 0.01 && means[1][1].abs() < 0.015, "{means:?}");
-    }
-
-    /// Exchanges pair pixels: the partner's partner is the pixel itself, no farther away than the
-    /// radius allows. The control, the same without the shift back, pairs nothing.
-    #[test]
-    fn exchanges_pair_the_pixels() {
-        let mut farthest = 0.0_f32;
-        for key in 0..200 {
-            let mut random = Stream::from_key(key);
-            let ([sx, _], [mx, my]) = exchange(&mut random, 16.0);
-            assert!((mx, my) != (0, 0));
-            farthest = farthest.max(((mx * mx + my * my) as f32).sqrt());
-            let partner = |x: u32| (x.wrapping_add(sx) ^ mx).wrapping_sub(sx);
-            let without = |x: u32| x.wrapping_add(sx) ^ mx;
-            for x in 0..64 {
-                assert_eq!(partner(partner(x)), x);
-                let away = (partner(x).wrapping_sub(x) as i32).unsigned_abs();
-                assert!(away <= mx, "{x} exchanges with a pixel {away} away, the mask is {mx}");
-            }
-            assert!(mx == 0 || (0..64).any(|x| without(without(x)) != x));
-        }
-        assert!((14.0..=17.0).contains(&farthest), "{farthest}");
     }
 
     /// Shows of each pixel which pixel of the previous frame had its surface, and how far the

@@ -116,7 +116,7 @@ fn tap_at(x: u32, y: u32, dx: i32, dy: i32) -> Tap {
 // Tap `number` of a pixel by an exchange that all pixels of a round share: x ↦ ((x + s) xor m) − s
 // is its own inverse, so pixels swap their samples in pairs. Masks are uniform over the quarter of
 // a disk.
-fn exchanged_tap(x: u32, y: u32, number: u32) -> Tap {
+fn partner_tap(x: u32, y: u32, number: u32) -> Tap {
     var random = stream_of(number, PURPOSE_TAPS, ROUND);
     let radius = RADIUS * sqrt(stream_uniform(&random));
     let sc = sin_cos_turn(0.25 * stream_uniform(&random));
@@ -130,6 +130,43 @@ fn exchanged_tap(x: u32, y: u32, number: u32) -> Tap {
     let at = vec2<u32>(x, y);
     let away = vec2<i32>(((at + shift_by) ^ mask) - shift_by - at);
     return tap_at(x, y, away.x, away.y);
+}
+//#endif
+
+//#if PAIRS
+// Changes one half of a place in a block of 2^bits by a function of the other.
+fn scramble(half: u32, key: u32, bits: u32) -> u32 {
+    return ((half * 0x9E3779B9u ^ key) * 0x85EBCA6Bu) >> (32u - bits);
+}
+
+// Tap `number` of a pixel in pairs that are drawn in square blocks: see Blocks in taps.rs.
+fn partner_tap(x: u32, y: u32, number: u32) -> Tap {
+    var random = stream_of(number, PURPOSE_TAPS, ROUND);
+    let square = 1.5 * RADIUS * RADIUS;
+    var bits = firstLeadingBit(u32(max(square, 4.0))) / 2u;
+    let smaller = f32(1u << (2u * bits));
+    if stream_uniform(&random) * 3.0 < square / smaller - 1.0 {
+        bits += 1u;
+    }
+    let ox = stream_word(&random);
+    let oy = stream_word(&random);
+    let k = stream_word(&random);
+    let at = vec2<u32>(x + ox, y + oy);
+    let block = at >> vec2<u32>(bits);
+    let keys = pcg4d(vec4<u32>(block.x, block.y, k, stream_word(&random)));
+    let inside = at & vec2<u32>((1u << bits) - 1u);
+    var a = inside.x;
+    var b = inside.y;
+    a ^= scramble(b, keys.x, bits);
+    b ^= scramble(a, keys.y, bits);
+    a ^= scramble(b, keys.z, bits);
+    b ^= scramble(a, keys.w, bits);
+    a ^= 1u;
+    b ^= scramble(a, keys.w, bits);
+    a ^= scramble(b, keys.z, bits);
+    b ^= scramble(a, keys.y, bits);
+    a ^= scramble(b, keys.x, bits);
+    return tap_at(x, y, i32(a) - i32(inside.x), i32(b) - i32(inside.y));
 }
 //#endif
 

@@ -73,6 +73,8 @@ pub struct Entry {
     pub parameters: fn() -> Vec<Parameter>,
     /// Builds the technique from given values, each of a key that `parameters` lists.
     pub build: fn(&Values) -> Result<Box<dyn Technique>>,
+    /// Whether only direct light is its own, all longer paths being walked.
+    pub direct: bool,
     /// How it is tested part by part; none: [`Rung::DEFAULT`].
     pub rungs: &'static [Rung],
     /// Parameters (`key=value,key=value`) beside the defaults that tests shall run through.

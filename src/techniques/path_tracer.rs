@@ -42,6 +42,7 @@ pub(super) const BSDF: Entry = Entry {
     about: "path tracing by BSDF sampling alone (Kajiya 1986); cannot find point, spot and distant lights",
     parameters: || spec::describe(&rows_of_bsdf(), &PathTracer::bsdf()),
     build: |values| Ok(Box::new(spec::build(PathTracer::bsdf(), &rows_of_bsdf(), values)?)),
+    direct: false,
     rungs: &[],
     variants: Vec::new,
 };
@@ -51,6 +52,7 @@ pub(super) const NEE: Entry = Entry {
     about: "path tracing with light sampling and MIS at every vertex (Veach 1997); the reference",
     parameters: || spec::describe(&rows(), &PathTracer::default()),
     build: |values| Ok(Box::new(spec::build(PathTracer::default(), &rows(), values)?)),
+    direct: false,
     rungs: &[],
     variants: || vec!["lights=all".to_string()],
 };

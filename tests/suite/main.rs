@@ -7,6 +7,7 @@ mod cli;
 mod course;
 mod determinism;
 mod elision;
+mod exchange;
 #[cfg(feature = "experiment")]
 mod figures;
 #[cfg(all(feature = "gpu", feature = "load"))]

@@ -53,6 +53,7 @@ const WALKS: Entry = Entry {
     about: "paths by BSDF sampling, from outside of the crate",
     parameters: || spec::describe(&rows(), &RIGHT),
     build: |values| Ok(Box::new(spec::build(RIGHT, &rows(), values)?)),
+    direct: false,
     rungs: &[
         Rung::new("one walk", "", Moving::Still),
         Rung::new("two walks", "walks=2", Moving::Still),

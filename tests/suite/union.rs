@@ -33,7 +33,7 @@ fn scene() -> Scene {
 }
 
 /// Four frames of a scene whose camera and lamp move, or do not.
-fn frames(spec: &str, shot: Shot, moving: bool) -> Vec<Picture> {
+pub(crate) fn frames(spec: &str, shot: Shot, moving: bool) -> Vec<Picture> {
     let scene = scene();
     let make = if moving { Stage::moving } else { Stage::new };
     let stage = make(scene.clone()).unwrap();

@@ -376,6 +376,29 @@ fn a_failed_shift_keeps_its_domain() {
     assert_close(total(0.75, defensive, |own, other| own == 1 || other == 1), 31.0 / 16.0);
 }
 
+/// Pixels that swap their samples need both shifts of a partner that they accept: one that was not
+/// made, taken for one that is undefined, makes the sum 9 become 11.
+#[test]
+fn an_accepted_slot_has_both_shifts() {
+    let map = Finite::shared(&[&[1.0, 1.0, 2.0], &[3.0, 1.0, 0.0]]);
+    let total = |made: bool| {
+        let found = measure(&map, |random| {
+            let own = map.input(certain(random.index(3) as usize, 3.0, 1.0), &0);
+            let all = [own, map.input(certain(random.index(2) as usize, 2.0, 1.0), &1)];
+            let mut others = Exchanged::new(&map, &all);
+            if !made {
+                others.leaving = vec![0.0];
+            }
+            let (family, mut reservoir) = (Family::DefensivePairwise, Plain::default());
+            let mut map = map.clone();
+            merge(&mut map, family, &all[0], &others, &mut reservoir, random, |_| ()).finished
+        });
+        found.iter().zip([4.0, 2.0, 3.0]).map(|(weight, f)| weight * f).sum::<f64>()
+    };
+    assert_close(total(true), 9.0);
+    assert_close(total(false), 11.0);
+}
+
 #[test]
 fn without_anything_to_merge_the_canonical_comes_out_bit_for_bit() {
     // 0.7 / 3 is no f32, nor are the thirds.

@@ -8,7 +8,7 @@ use crate::counters::Counters;
 use crate::light::{EmitterPoint, LightPoint};
 use crate::math::rng::RandomSource;
 use crate::pass::{FrameInputs, Pixel};
-use crate::resampling::{Finished, metropolis};
+use crate::resampling::{Finished, Shifted, metropolis};
 use crate::reuse::{Domain, Mutated, StoredReservoir};
 
 /// The light points of one frame. With `IN_TARGET`, p̂ contains visibility.
@@ -151,5 +151,21 @@ impl StoredReservoir for Record {
     #[inline]
     fn emptied(&self) -> Self {
         self.emptied()
+    }
+
+    /// T keeps the point, and with it the density.
+    #[inline]
+    fn slot(shifted: &Shifted<LightPoint, Vec3>) -> [f32; 4] {
+        let [r, g, b] = shifted.integrand.to_array();
+        [r, g, b, 1.0]
+    }
+
+    #[inline]
+    fn arrived(&self, [r, g, b, density]: [f32; 4]) -> Option<Shifted<LightPoint, Vec3>> {
+        if density == 0.0 {
+            return None;
+        }
+        let sample = self.finished().sample?;
+        Some(Shifted { sample, integrand: Vec3::new(r, g, b), jacobian: 1.0 })
     }
 }

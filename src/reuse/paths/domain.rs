@@ -9,7 +9,7 @@ use crate::math::rng::{Purpose, RandomSource, Stream};
 use crate::pass::{Band, FrameInputs, Pixel, PrimaryHit};
 use crate::path::{Limits, Steps, finite_or_counted, sampled, walk};
 use crate::plan::Plan;
-use crate::resampling::{ContributionWeight, Finished, Plain, PrimarySample, Reservoir};
+use crate::resampling::{ContributionWeight, Finished, Plain, PrimarySample, Reservoir, Shifted};
 use crate::reuse::light_points::{Chosen, PATHS, Receiver, Sources, Time, candidates};
 use crate::reuse::passes::{self, Keys, NORMALS};
 use crate::reuse::surfaces::pack_normal;
@@ -291,5 +291,28 @@ impl StoredReservoir for PathRecord {
     #[inline]
     fn emptied(&self) -> Self {
         Self::new(&Finished::empty(self.confidence()), self.age())
+    }
+
+    /// Within a frame T keeps all but F and the density.
+    #[inline]
+    fn slot(shifted: &Shifted<PathSample, Vec3>) -> [f32; 4] {
+        let [r, g, b] = shifted.integrand.to_array();
+        let density = shifted.sample.reconnection.as_ref().map_or(1.0, |kept| kept.density);
+        [r, g, b, density]
+    }
+
+    #[inline]
+    fn arrived(&self, [r, g, b, density]: [f32; 4]) -> Option<Shifted<PathSample, Vec3>> {
+        if density == 0.0 {
+            return None;
+        }
+        let integrand = Vec3::new(r, g, b);
+        let mut sample = PathSample { integrand, ..self.finished().sample? };
+        let mut jacobian = 1.0;
+        if let Some(kept) = &mut sample.reconnection {
+            jacobian = density / kept.density;
+            kept.density = density;
+        }
+        Some(Shifted { sample, integrand, jacobian })
     }
 }

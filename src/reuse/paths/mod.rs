@@ -97,11 +97,12 @@ pub struct Reconnection {
     pub lobes: [u8; 2],
     /// What is kept.
     pub anchor: Anchor,
-    /// Unit direction from `x_r` onward; where `x_r` is the end, from `v_n` to it.
+    /// Unit direction from `x_r` onward, or to the sky that is `x_r`; 0 where `x_r` is an emitter
+    /// or a point on a light, to which the direction is another one elsewhere.
     pub direction: Vec3,
     /// Where r < n: Π f/p̄ of `v_{r+1}` … `v_n`, times the light and its ω. Where r = n: the light
-    /// alone, since ω depends on what comes before `x_r`. Where r = n + 1: the light towards `v_n`,
-    /// of no use elsewhere.
+    /// alone, since ω depends on what comes before `x_r`. For a sky its light; for an emitter or a
+    /// point on a light 0, since it depends on the direction.
     pub radiance: Vec3,
     /// The path's part of \|∂T\|: p(`ω_{r−1}`, `ℓ_{r−1}`) g p(`ω_r`, `ℓ_r`), with g = \|cos\|/d² at
     /// `x_r` by its geometric normal. Without the last factor where the light at `v_r` is sampled

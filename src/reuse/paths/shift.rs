@@ -316,13 +316,7 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         Ok(Connected {
             integrand: replay.throughput * (total.value / total.pdf) * emission * share,
             ending: Ending::Emitter,
-            reconnection: Some(Reconnection {
-                density,
-                anchor,
-                direction,
-                radiance: emission,
-                ..*kept
-            }),
+            reconnection: Some(Reconnection { density, anchor, ..*kept }),
             jacobian: density / kept.density,
         })
     }
@@ -391,13 +385,7 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         };
         let end = world.lights.shadow_end(&emitter, surface.position);
         self.look(steps, replay, arrival.direction, end)?;
-        let reconnection = Reconnection {
-            density,
-            anchor: Anchor::Point(point),
-            direction: arrival.direction,
-            radiance: arrival.radiance,
-            ..*kept
-        };
+        let reconnection = Reconnection { density, anchor: Anchor::Point(point), ..*kept };
         Ok(Connected {
             integrand: replay.throughput * scattered.value * arrival.radiance * (share / density),
             ending: if direct { Ending::Direct } else { Ending::Light { delta } },

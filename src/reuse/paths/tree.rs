@@ -169,8 +169,8 @@ impl<R: RandomSource> Visitor for Tree<'_, R> {
                     vertex: number as u8 + 1,
                     lobes: [NO_LOBE; 2],
                     anchor: Anchor::Point(point),
-                    direction: incident.direction,
-                    radiance: incident.radiance,
+                    direction: Vec3::ZERO,
+                    radiance: Vec3::ZERO,
                     density: end.density,
                     light_density: 0.0,
                 })
@@ -230,8 +230,8 @@ impl<R: RandomSource> Visitor for Tree<'_, R> {
                     vertex: number as u8 + 1,
                     lobes: [self.trail.lobe, NO_LOBE],
                     anchor: Anchor::Surface(place(hit)),
-                    direction: self.direction,
-                    radiance: end.emission,
+                    direction: Vec3::ZERO,
+                    radiance: Vec3::ZERO,
                     density: self.trail.density * way.geometry,
                     light_density: 0.0,
                 })

@@ -103,6 +103,7 @@ pub(super) const RIS: Entry = Entry {
     build: |values| {
         Ok(Box::new(spec::build(RestirDi::ris(), &rows_of_ris(), values)?.validated()?))
     },
+    direct: true,
     rungs: &[],
     variants: Vec::new,
 };
@@ -112,6 +113,7 @@ pub(super) const RESTIR_DI: Entry = Entry {
     about: "direct light with samples reused over frames and pixels (Bitterli et al. 2020, Lin et al. 2022); other light as nee",
     parameters: || spec::describe(&rows(), &RestirDi::default()),
     build: |values| Ok(Box::new(spec::build(RestirDi::default(), &rows(), values)?.validated()?)),
+    direct: true,
     rungs: rungs::RUNGS,
     variants: rungs::variants,
 };

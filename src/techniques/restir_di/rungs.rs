@@ -53,6 +53,7 @@ pub(super) fn variants() -> Vec<String> {
     }
     all.push("cap=0".to_string());
     all.push("taps=xor,neighbours=3".to_string());
+    all.push("taps=pairs,neighbours=3,mature=0".to_string());
     all.push("spatial=display,rounds=2".to_string());
     all.push("taps=random,mature=4".to_string());
     all.push("visibility=reuse,boiling=0.2,max-age=60".to_string());

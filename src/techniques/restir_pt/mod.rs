@@ -7,7 +7,8 @@
 //! | initial | hits | reservoirs: a light point of the candidates or a path of the walks; estimates: the light of all of them |
 //! | temporal | reservoirs, the last frame's `history` | reservoirs, in place |
 //! | boiling | reservoirs of a tile | reservoirs, in place; off by default, biased |
-//! | spatial | reservoirs | `history` (the last round, which also shades) |
+//! | shifts | reservoirs | the path of each pixel as its partners see it |
+//! | spatial | reservoirs, shifts | `history` (the last round, which also shades) |
 //! | shade | reservoirs | radiance, where there is no spatial pass |
 //!
 //! What lies behind a path's reconnection vertex is traced again in the other frame where lights or
@@ -147,6 +148,12 @@ fn rows() -> Vec<Row<RestirPt>> {
         ),
         row!(
             RestirPt,
+            "shared",
+            choice shared: bool,
+            "with taps=xor or pairs, whether a shift is made once for both pixels that ask for it; the picture is the same"
+        ),
+        row!(
+            RestirPt,
             "shade",
             choice shade: Shade,
             "what is shown: the selected path, all inputs of the last merge, or an estimate that all of them correct, with the least noise in colour for 8 bytes"
@@ -163,6 +170,7 @@ pub(super) const RESTIR_PT: Entry = Entry {
     about: "all light by paths reused over frames and pixels (Lin et al. 2022, hybrid shift)",
     parameters: || spec::describe(&rows(), &RestirPt::default()),
     build: |values| Ok(Box::new(spec::build(RestirPt::default(), &rows(), values)?.validated()?)),
+    direct: false,
     rungs: rungs::RUNGS,
     variants: rungs::variants,
 };
@@ -192,6 +200,11 @@ pub struct RestirPt {
     pub bsdf: u32,
     /// With [`Direct::Union`], whether light points are made ahead in tiles that fit the cache.
     pub tiles: LightTiles,
+    /// With [`Taps::Xor`](crate::reuse::Taps::Xor) and [`Taps::Pairs`](crate::reuse::Taps::Pairs),
+    /// whether a shift is made once for both pixels that ask for it.
+    ///
+    /// The picture is the same to the bit.
+    pub shared: bool,
     /// What is shown.
     pub shade: Shade,
     /// Of reuse; paths are not mutated, so `mutations` must be 0, and `shade` stands for
@@ -211,6 +224,7 @@ impl Default for RestirPt {
             candidates: 8,
             bsdf: 1,
             tiles: LightTiles::Auto,
+            shared: true,
             shade: Shade::Control,
             reuse: Settings::default(),
         }
@@ -345,6 +359,7 @@ impl Technique for RestirPt {
             rays: [walks, walks, emitter],
             shift_bounces: scatterings,
             between_frames: retraces.into(),
+            shares: self.shared,
         };
         let settings = self.settings();
         match self.shade {
@@ -419,6 +434,9 @@ fn reused<F: HitFilter + Sync, P: Policy>(
         reuse_kernel::TEMPORAL => reuse.temporal(band),
         reuse_kernel::BOILING => reuse.boiling(band),
         reuse_kernel::SHADE => reuse.shade(band),
+        round if round >= reuse_kernel::SHIFTS => {
+            reuse.exchange(round - reuse_kernel::SHIFTS, band)
+        }
         round => reuse.spatial(round - reuse_kernel::SPATIAL, band),
     }
 }

@@ -25,11 +25,13 @@ pub(super) const RUNGS: &[Rung] = &[
     Rung::new("reconnection only", "shift=reconnection,mature=0", Moving::Still),
     Rung::new("replay only", "shift=replay,mature=0", Moving::Still),
     Rung::new("footprint", "predicate=footprint,mature=0", Moving::Still),
+    Rung::new("paired", "taps=pairs,neighbours=3,mature=0", Moving::Still),
     Rung::new("moving camera", "", Moving::Camera),
     Rung::new("moving light", "", Moving::Light),
     Rung::new("moving occluder", "", Moving::Occluder),
     Rung::new("all moves", "", Moving::All),
     Rung::new("all moves, footprint", "predicate=footprint", Moving::All),
+    Rung::new("all moves, paired", "taps=pairs,neighbours=3", Moving::All),
     Rung::new("all moves, selected", "shade=selected", Moving::All),
 ];
 
@@ -51,6 +53,8 @@ pub(super) fn variants() -> Vec<String> {
         "tiles=on,candidates=4,bsdf=2",
         "spatial=display,rounds=2",
         "taps=random,mature=4",
+        "taps=pairs,neighbours=2,mature=0",
+        "shared=false,rounds=2",
         "shade=decoupled",
         "shade=selected",
         "boiling=0.2,max-age=60",
