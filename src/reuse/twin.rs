@@ -110,11 +110,9 @@ pub(crate) fn shared<R: StoredReservoir>(at: &TwinSettings<'_>, domain: &DomainT
 pub(crate) fn with_surfaces(twin: &mut Twin, at: &TwinSettings<'_>) {
     twin.modules.push(SURFACES);
     twin.constants.push(("B_NORMALS", id(at.plan, NORMALS)));
-    for (name, kinds) in [
-        ("XOR", &[Taps::Xor][..]),
-        ("PAIRS", &[Taps::Pairs]),
-        ("SWAPS", &[Taps::Xor, Taps::Pairs]),
-    ] {
+    for (name, kinds) in
+        [("XOR", &[Taps::Xor][..]), ("PAIRS", &[Taps::Pairs]), ("SWAPS", &[Taps::Xor, Taps::Pairs])]
+    {
         twin.flags.push((name, flag(kinds.contains(&at.settings.taps))));
     }
 }
