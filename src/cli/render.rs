@@ -11,6 +11,7 @@ use crate::experiment::{Mean, Session, file_name, guide_layers, sum, technique};
 use crate::frame::{FrameLoop, Guides};
 use crate::picture::Picture;
 use crate::report::{Layer, Tile, ToneMap, write_exr, write_png};
+use crate::techniques::Technique;
 use crate::{Error, Result};
 
 /// Most estimates of one frame where `--spp` may be spread over frames, so that progress shows and
@@ -20,7 +21,9 @@ const CHUNK: u32 = 8;
 /// Render one picture: EXR with albedo, normal, depth, motion and emission layers, and a PNG beside
 /// it
 ///
-/// The layer `color` is the picture; `emission` is the part of it that is seen directly. --frames
+/// The layer `color` is the picture; `emission` is the part of it that is seen directly; with
+/// --frames, layers `kept.…` are what the technique keeps of every pixel, such as the confidence of
+/// its reservoir. --frames
 /// shows frame N as a real-time technique would, after N-1 frames of history; --spp averages N
 /// complete estimates a pixel. Ctrl-C writes what is done.
 #[derive(Args, Debug)]
@@ -69,6 +72,8 @@ struct Shown {
     picture: Picture,
     emission: Picture,
     guides: Guides,
+    /// What the technique keeps of every pixel.
+    kept: Vec<(&'static str, Vec<f32>)>,
 }
 
 pub(super) fn run(args: &RenderArgs) -> Result<Status> {
@@ -116,7 +121,7 @@ pub(super) fn run(args: &RenderArgs) -> Result<Status> {
                 if args.frames.is_none() {
                     note("showing frame 16 as in real time; --spp 256 gives a smoother picture");
                 }
-                (last_frame(&session, &mut frames, count)?, false)
+                (last_frame(&session, &*technique, &mut frames, count)?, false)
             }
         }
     };
@@ -134,6 +139,8 @@ pub(super) fn run(args: &RenderArgs) -> Result<Status> {
     }
     let mut layers = vec![Layer::rgb("color", &all)];
     layers.extend(guide_layers(&shown.guides));
+    let kept = shown.kept.into_iter();
+    layers.extend(kept.map(|(name, values)| Layer::scalar(&format!("kept.{name}"), "Y", values)));
     layers.push(Layer::rgb("emission", &shown.emission));
     write_exr(&out, session.shot.size, &layers)?;
     let png = out.with_extension("png");
@@ -143,7 +150,13 @@ pub(super) fn run(args: &RenderArgs) -> Result<Status> {
 }
 
 /// The frame numbered `count`, from 1.
-fn last_frame(session: &Session, frames: &mut FrameLoop, count: u32) -> Result<Shown> {
+fn last_frame(
+    session: &Session,
+    technique: &dyn Technique,
+    frames: &mut FrameLoop,
+    count: u32,
+) -> Result<Shown> {
+    let plan = frames.plan().clone();
     let progress = session.host().begin("frames", u64::from(count));
     for _ in 1..count {
         session.next(frames)?;
@@ -151,7 +164,9 @@ fn last_frame(session: &Session, frames: &mut FrameLoop, count: u32) -> Result<S
     }
     let frame = session.next(frames)?;
     warn(frame.counters.non_finite);
-    Ok(Shown { picture: frame.picture(), emission: frame.emission(), guides: frame.guides() })
+    let kept = technique.layers(&plan, session.shot.size, &|name| frame.buffer(name));
+    let (picture, emission, guides) = (frame.picture(), frame.emission(), frame.guides());
+    Ok(Shown { picture, emission, guides, kept })
 }
 
 /// Frames whose mean is shown.
@@ -198,7 +213,8 @@ fn accumulate(
     }
     warn(non_finite);
     let guides = guides.ok_or_else(|| Error::usage("no frame was asked for"))?;
-    Ok((Shown { picture: picture.picture(), emission: emission.picture(), guides }, interrupted))
+    let (picture, emission) = (picture.picture(), emission.picture());
+    Ok((Shown { picture, emission, guides, kept: Vec::new() }, interrupted))
 }
 
 fn warn(non_finite: u64) {

@@ -3,7 +3,7 @@
 //!
 //! | slot of a pixel's chain and tap | meaning |
 //! |---|---|
-//! | 0–2 | F of the own sample at the partner |
+//! | 0–2 | F of the own sample at the partner; where T is undefined, 0 has the number of the reason |
 //! | 3 | the density that \|∂T\| is a ratio of ([`StoredReservoir::arrived`]); 0: T is undefined |
 //!
 //! A slot is made where either of both pixels takes from the other, so whoever accepts a partner
@@ -57,9 +57,11 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
                 let Some(sample) = record.finished().sample else { continue };
                 for tap in &taps[..count] {
                     let partner = read.receiver(self.domain, tap.index);
-                    if let Some(shifted) = map.shift(&sample, &receiver, &partner) {
-                        out[chain * slots + tap.number as usize] = D::Record::slot(&shifted);
-                    }
+                    let slot = map.shift(&sample, &receiver, &partner);
+                    out[chain * slots + tap.number as usize] = match slot {
+                        Some(shifted) => D::Record::slot(&shifted),
+                        None => [D::lost(&map), 0.0, 0.0, 0.0],
+                    };
                 }
             }
         }

@@ -92,6 +92,11 @@ pub(crate) trait StoredReservoir: Pod + Send + Sync {
     /// What the visibility policy keeps.
     fn policy_bits(&self) -> u16;
 
+    /// Whether both carry the same sample; `false` where that cannot be told.
+    fn is_same(&self, _other: &Self) -> bool {
+        false
+    }
+
     /// The same without its sample; its confidence stays.
     fn emptied(&self) -> Self;
 
@@ -124,6 +129,18 @@ pub(crate) trait Domain: Sync {
 
     /// The frame.
     fn frame(&self) -> &FrameInputs<'_>;
+
+    /// Parts of the light that have reservoirs of their own, one after the other for each chain;
+    /// what a pixel shows is their sum.
+    fn parts(&self) -> u32 {
+        1
+    }
+
+    /// The number of the reason why the shift map's last shift was undefined, from 1 on; for
+    /// pictures.
+    fn lost(_shift: &Self::Shift) -> f32 {
+        0.0
+    }
 
     /// The receiver at a pixel's hit.
     fn receiver(&self, hit: Hit, pixel: Pixel) -> Self::Receiver;
@@ -181,7 +198,7 @@ pub(crate) struct Reuse<'a, D, P> {
     pub(crate) policy: P,
     /// The parameters.
     pub(crate) settings: Settings,
-    /// Chains of a pixel.
+    /// Reservoirs of a pixel: chains times the domain's parts.
     chains: usize,
 }
 
@@ -192,7 +209,8 @@ type InputOf<'r, D> =
 impl<'a, D: Domain, P: Policy> Reuse<'a, D, P> {
     /// The passes for a domain's frame.
     pub(crate) fn new(domain: &'a D, policy: P, settings: Settings) -> Self {
-        Self { domain, policy, settings, chains: domain.frame().shot.chains() as usize }
+        let chains = (domain.frame().shot.chains() * domain.parts()) as usize;
+        Self { domain, policy, settings, chains }
     }
 
     /// The numbers of a chain for one purpose and round.

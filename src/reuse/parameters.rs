@@ -85,6 +85,9 @@ pub struct Settings {
     pub boiling: f32,
     /// Frames after which a sample is dropped, in [0, 255]; 0 is never.
     pub max_age: u32,
+    /// How much less history counts, in [0, 1], where pixels nearby carry the same sample; 0 is
+    /// off. Only for kinds of samples that can tell ([`super::paths`]).
+    pub duplicates: f32,
 }
 
 impl Default for Settings {
@@ -103,6 +106,7 @@ impl Default for Settings {
             mutations: 0,
             boiling: 0.0,
             max_age: 0,
+            duplicates: 0.0,
         }
     }
 }

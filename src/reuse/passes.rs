@@ -175,6 +175,8 @@ pub(crate) mod kernel {
 pub(crate) struct Initial {
     /// Most bounce, shadow and emitter rays a chain, those of the policy not counted.
     pub(crate) rays: [u64; 3],
+    /// Reservoirs of a chain.
+    pub(crate) parts: u32,
     /// Most bounce rays of a shift; a shadow ray comes on top where p̂ contains visibility.
     pub(crate) shift_bounces: u64,
     /// More shadow rays of a shift between two frames.
@@ -192,8 +194,12 @@ struct Buffers {
 
 impl Buffers {
     /// Adds them. A place that several rounds write is one buffer.
-    fn add<R: StoredReservoir, P: Policy>(plan: &mut Builder<'_>, settings: &Settings) -> Self {
-        let (chains, still) = (plan.shot.chains(), plan.still());
+    fn add<R: StoredReservoir, P: Policy>(
+        plan: &mut Builder<'_>,
+        settings: &Settings,
+        chains: u32,
+    ) -> Self {
+        let still = plan.still();
         let (temporal, spatial) = (settings.cap > 0, settings.neighbours > 0);
         let moving_history = temporal && !still;
         if moving_history {
@@ -248,18 +254,20 @@ pub(crate) fn add<R: StoredReservoir, P: Policy>(
     initial: Initial,
 ) {
     plan.count_chains();
-    let buffers = Buffers::add::<R, P>(plan, settings);
+    let reservoirs = plan.shot.chains() * initial.parts;
+    let buffers = Buffers::add::<R, P>(plan, settings, reservoirs);
     let still = plan.still();
-    let chains = u64::from(plan.shot.chains());
+    let chains = u64::from(reservoirs);
     let count = |ray: bool| u64::from(ray) * chains;
     let in_place = buffers.at(Some(Place::Reservoirs), Some(ControlPlace::Controls));
 
-    let [bounce, shadow, emitter] = initial.rays.map(|rays| rays * chains);
+    let fresh = u64::from(plan.shot.chains());
+    let [bounce, shadow, emitter] = initial.rays.map(|rays| rays * fresh);
     let mut writes = in_place.clone();
     writes.extend(buffers.normals);
     plan.pass(NewPass::pixels("initial", kernel::INITIAL, writes).rays(
         bounce,
-        shadow + count(P::TRACES_INITIAL),
+        shadow + u64::from(P::TRACES_INITIAL) * fresh,
         emitter,
     ));
     if settings.cap > 0 {
@@ -297,7 +305,7 @@ pub(crate) fn add<R: StoredReservoir, P: Policy>(
     let k = u64::from(settings.neighbours);
     let shares = initial.shares && settings.taps != Taps::Random;
     let shared = (shares && k > 0).then(|| {
-        let slots = plan.shot.chains() * settings.neighbours;
+        let slots = reservoirs * settings.neighbours;
         plan.buffer_of(SHIFTS, slots, Elements::Pixels, false)
     });
     for round in rounds(settings) {

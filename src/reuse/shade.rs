@@ -51,10 +51,10 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
         counters
     }
 
-    /// The mean over chains of what each shows.
+    /// The mean over chains of what the parts of each show together.
     #[inline]
     pub(super) fn mean(&self, sum: Vec3) -> Vec3 {
-        sum / self.chains as f32
+        sum / self.domain.frame().shot.chains() as f32
     }
 
     /// F(Y) V W of a finished reservoir; a ray where the policy asks for one, whose outcome `bits`

@@ -8,16 +8,23 @@ use glam::Vec3;
 use super::passes::{self, Keys};
 use super::policy::Policy;
 use super::surfaces::reproject;
-use super::{Control, Domain, InputOf, Reuse, StoredReservoir, input};
+use super::{Control, Domain, InputOf, Reuse, Settings, StoredReservoir, input};
 use crate::counters::Counters;
-use crate::math::rng::{Purpose, Stream};
-use crate::pass::{Band, PrimaryHit};
+use crate::math::rng::{Purpose, RandomSource, Stream};
+use crate::pass::{Band, Pixel, PrimaryHit};
 use crate::path::finite_or_counted;
 use crate::plan::Plan;
 use crate::resampling::{
     ControlVariate, DecoupledState, Estimator, Finished, Input, Plain, Reservoir, ShiftMap,
     Shifted, WithRadiance, WithVisibility, merge_history,
 };
+
+/// Side of the square in which duplicates are looked for, that of *ReSTIR PT Enhanced* (2026), and
+/// how many of its pixels are looked at; the paper looks at all.
+const AROUND: u32 = 17;
+const LOOKS: u32 = 16;
+/// Round of their numbers, beside those of spatial rounds.
+const FIRST_LOOK: u32 = 64;
 
 /// A sample with its target: where two frames have the same receiver, targets need not be evaluated
 /// again.
@@ -46,6 +53,7 @@ impl<S: Copy> ShiftMap for Same<S> {
 
 /// One chain of a pixel in this frame, and what it was in the previous one.
 struct Frames<'r, D: Domain> {
+    cap: f32,
     record: D::Record,
     receiver: &'r D::Receiver,
     control: Control,
@@ -92,7 +100,7 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
                     [&*record, &previous].map(|record| self.policy.average(record.policy_bits()));
                 let merged = merge_history(
                     &mut Same(PhantomData),
-                    (self.settings.temporal_mis, self.settings.cap as f32),
+                    (self.settings.temporal_mis, self.cap(history, pixel, (first + chain, chain))),
                     &input(record),
                     &input(&previous),
                     &mut reservoir,
@@ -152,6 +160,7 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
                 }
                 counters.temporal_merges += 1;
                 let mut frames = Frames::<D> {
+                    cap: self.cap(history, there, (from, chain)),
                     record: records[at],
                     receiver: &receiver,
                     control: Control::default(),
@@ -186,7 +195,7 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
         counters: &mut Counters,
     ) -> (D::Record, Control) {
         let still = self.domain.frame().plan.still;
-        let cap = self.settings.cap as f32;
+        let cap = frames.cap;
         let canonical = input::<D>(&frames.record, frames.receiver);
         let past = input::<D>(&frames.previous, frames.receiver_before);
         let mut reservoir = WithRadiance::<WithVisibility<Plain<D::Sample>>>::default();
@@ -263,6 +272,32 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
             _ => (previous.age() + 1, self.policy.a_frame_later(previous.policy_bits())),
         };
         (age, self.policy.averaged(bits, average))
+    }
+
+    /// How much the history of a pixel counts at most: the cap, or less where some of [`LOOKS`]
+    /// pixels around it, in a square of [`AROUND`] pixels, carry its sample too. That depends on
+    /// the samples, so it is biased.
+    #[inline]
+    fn cap(&self, history: &[D::Record], there: Pixel, (from, chain): (usize, usize)) -> f32 {
+        let Settings { cap, duplicates, .. } = self.settings;
+        let cap = cap as f32;
+        if duplicates == 0.0 {
+            return cap;
+        }
+        let [width, height] = self.domain.frame().shot.size;
+        let mut random = self.stream(there, Purpose::Neighbours, FIRST_LOOK, chain);
+        let mut near = |at: u32, size: u32| {
+            let at = (at + random.index(AROUND)).saturating_sub(AROUND / 2);
+            at.min(size - 1)
+        };
+        let mut same = 0;
+        for _ in 0..LOOKS {
+            let (x, y) = (near(there.x, width), near(there.y, height));
+            let other = (y * width + x) as usize * self.chains + chain;
+            same += u32::from(other != from && history[other].is_same(&history[from]));
+        }
+        let share = same as f32 / LOOKS as f32;
+        (cap * (1.0 - duplicates * share)).floor()
     }
 
     /// A record of the previous frame, without its sample where that is too old.

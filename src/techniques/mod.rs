@@ -15,7 +15,7 @@ pub use crate::reuse::light_points::LightTiles;
 pub use crate::spec::{Parameter, Values};
 pub use path_tracer::{LightSampling, PathTracer};
 pub use restir_di::RestirDi;
-pub use restir_pt::{Direct, RestirPt, Shade};
+pub use restir_pt::{Direct, Preset, RestirPt, Shade};
 pub use rung::{Moving, Rung};
 
 use crate::counters::Counters;
@@ -58,6 +58,18 @@ pub trait Technique: fmt::Debug + Send + Sync {
     /// What one element of a buffer of the technique's plan says to people, as names and values:
     /// what `inspect` prints of a pixel. Nothing for buffers that say nothing.
     fn describe(&self, _buffer: &BufferPlan, _element: &[u32]) -> Vec<(&'static str, String)> {
+        Vec::new()
+    }
+
+    /// What the technique's buffers say of every pixel of a frame, as pictures of one number a
+    /// pixel by name: what `render` adds to its file. `buffer` gives the words of a buffer of the
+    /// plan.
+    fn layers<'f>(
+        &self,
+        _plan: &Plan,
+        _size: [u32; 2],
+        _buffer: &dyn Fn(&str) -> Option<&'f [u32]>,
+    ) -> Vec<(&'static str, Vec<f32>)> {
         Vec::new()
     }
 }

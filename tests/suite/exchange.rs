@@ -1,7 +1,54 @@
 //! Shifts made once for both pixels of a pair.
 
-use crate::support::{bits, shot};
-use crate::union::frames;
+use std::sync::Arc;
+
+use afterimage::frame::{FrameLoop, Stage};
+use afterimage::scene::Scene;
+use afterimage::techniques::parse;
+use glam::Vec3;
+
+use crate::support::{bits, look_at, shot};
+use crate::union::{self, frames};
+
+/// Which pixels take from which, and from which history, does not depend on any sample: with lamps
+/// of other strengths and colours, other numbers of candidates and of walks, as many merges are
+/// made and as many refused. (The control, a camera that stands elsewhere, counts others.)
+#[test]
+fn merges_do_not_know_the_samples() {
+    let mut dim = union::scene();
+    for shape in dim.objects.iter_mut().flat_map(|object| &mut Arc::make_mut(object).shapes) {
+        if let Some(emission) = &mut shape.emission {
+            emission.scale *= 0.01;
+        }
+    }
+    let shot = shot([25, 16], 5, 2);
+    for keys in ["", "taps=pairs,neighbours=3", "taps=random,mature=0,max-age=2", "boiling=0.5"] {
+        let keys = format!("{keys},radius=3").trim_start_matches(',').to_string();
+        for (name, other) in [("restir-pt", "trees=3,candidates=2"), ("restir-di", "candidates=2")]
+        {
+            let merges = |scene: &Scene, from: f32, more: &str| -> Vec<[u64; 3]> {
+                let comma = if more.is_empty() { "" } else { "," };
+                let spec = format!("{name}:{keys}{comma}{more}");
+                let stage = Stage::moving(scene.clone()).unwrap();
+                let technique = Arc::from(parse(&spec).unwrap());
+                let mut frames = FrameLoop::new(technique, &stage, shot).unwrap();
+                let counted = (0..4).map(|frame| {
+                    let mut now = scene.clone();
+                    let x = from + 0.05 * frame as f32;
+                    now.camera = look_at(Vec3::new(x, 1.2, -3.0), Vec3::new(x, 0.7, 0.0), 0.8);
+                    let counters = frames.render_scene(now).unwrap().counters;
+                    [counters.temporal_merges, counters.spatial_merges, counters.reuse_rejected]
+                });
+                counted.collect()
+            };
+            let plain = merges(&union::scene(), 0.0, "");
+            assert!(plain[3].iter().all(|count| *count > 0), "{plain:?}");
+            assert_eq!(merges(&dim, 0.0, ""), plain, "{name}:{keys}");
+            assert_eq!(merges(&union::scene(), 0.0, other), plain, "{name}:{keys}");
+            assert_ne!(merges(&union::scene(), 0.3, ""), plain);
+        }
+    }
+}
 
 /// Where shifts are made once for both pixels, the pictures of all frames are those of merges that
 /// make their own, to the bit: for every family, still and moving, with several partners, rounds

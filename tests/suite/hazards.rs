@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use afterimage::frame::{FrameLoop, Stage};
 use afterimage::plan::Filter;
-use afterimage::scene::{LightKind, Scene, Shape, Transform};
+use afterimage::scene::{LightKind, Material, Scene, Shape, Transform};
 use afterimage::techniques::{REGISTRY, Technique, parse};
 use glam::{Affine3A, Quat, Vec3};
 
@@ -53,6 +53,26 @@ fn h_history_is_used_once() {
             frames.restart(shot.run + 1);
             assert_ne!(bits(&frames.render().unwrap().picture()), fresh, "{}", entry.name);
         }
+    }
+}
+
+/// A mirror that is one of two lobes with a chance of one in a million, and a material whose
+/// roughness goes from 0 to 1 inside of a pixel: nothing is lost, and nothing explodes.
+#[test]
+fn h_rare_lobes_and_textured_roughness() {
+    let mut rare = rooms()[1].clone();
+    let (grey, mirror) = (diffuse(&mut rare, 0.7), metal(&mut rare, 0.0));
+    let amount = afterimage::scene::Scalar::Constant(1e-6);
+    let mix = rare.add_material(Material::Mix { first: grey, second: mirror, amount });
+    for instance in [0, 1, 2] {
+        Arc::make_mut(&mut rare.objects[instance]).shapes[0].material = mix;
+    }
+    for base in [rare, crate::paths_exact::textured()] {
+        let at = |scene: &mut Scene, i: u32| {
+            let t = 0.05 * i as f32;
+            scene.camera = look_at(Vec3::new(t, 1.0, -3.0), Vec3::new(0.0, 1.0, 0.0), 0.75);
+        };
+        holds(&Course { base, at }, &[3], &KINDS);
     }
 }
 

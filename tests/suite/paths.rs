@@ -20,7 +20,9 @@ use afterimage::stats::{Moments, t_test};
 use afterimage::world::World;
 use glam::{Affine3A, Vec2, Vec3};
 
-use crate::support::{environment, light, room};
+use afterimage::plan::Shot;
+
+use crate::support::{bits, environment, light, own_scenes, picture, room, shot};
 
 const SIZE: [u32; 2] = [24, 16];
 
@@ -90,6 +92,74 @@ fn the_tree_sums_to_nee() {
             assert!(lit > 500 && dark > 0, "{lit} walks found light, {dark} none");
         }
     }
+}
+
+/// Without reuse the technique is `nee`, whose walks it takes: to the bit where the selected path
+/// is not asked for but all of them, but for the rounding of estimates that are kept in 8 bytes.
+/// The control, other numbers, is another picture.
+#[test]
+fn without_reuse_it_is_nee() {
+    let stage = Stage::new(rooms()[1].clone()).unwrap();
+    let keys = "cap=0,neighbours=0,direct=tree";
+    for shot in [shot([24, 16], 6, 1), shot([16, 20], 4, 3)] {
+        for roulette in [0, 5] {
+            let nee = picture(&stage, &format!("nee:roulette={roulette}"), shot);
+            let paths = picture(&stage, &format!("restir-pt:{keys},roulette={roulette}"), shot);
+            assert!(nee.mean_luminance() > 0.0);
+            for (nee, paths) in nee.pixels.iter().zip(&paths.pixels) {
+                let error = (*nee - *paths).abs().max_element();
+                assert!(error <= nee.max_element() / 32768.0, "{nee} {paths}");
+            }
+            let other = Shot { run: shot.run + 1, ..shot };
+            let other = picture(&stage, &format!("restir-pt:{keys},roulette={roulette}"), other);
+            assert_ne!(bits(&other), bits(&paths));
+        }
+    }
+}
+
+/// A path's numbers give the path again at its own receiver: the same F to the bit, ending and
+/// length, in every scene of the repository; where the point of a light sample is kept in place of
+/// its numbers, F to rounding. The control, numbers of another block, gives another path.
+#[test]
+fn replay_gives_the_path_again() {
+    let connects = Connects { kind: ShiftKind::Replay, ..CONNECTS };
+    let (mut same, mut near, mut other) = (0_u32, 0_u32, 0_u32);
+    let mut scenes = own_scenes();
+    scenes.extend(rooms().map(|room| ("a room".to_string(), room)));
+    for (name, scene) in scenes {
+        let stage = Stage::new(scene).unwrap();
+        let world = stage.first_world();
+        let mut random = Stream::from_key(21);
+        let mut shift = PathShift::new(&AcceptAll, connects, None);
+        for (pixel, at) in receivers(world).iter().enumerate() {
+            for walk in 0..4 {
+                let seed = path_seed(22, pixel as u32, 0, walk);
+                let drawn = drawn_by(world, at, seed, &mut random, connects);
+                let Some(sample) = drawn.sample else { continue };
+                let again = shift.try_shift(&sample, at, at);
+                let Ok(Shifted { sample: again, jacobian, .. }) = again else {
+                    panic!("{name}: {sample:?} {again:?}")
+                };
+                assert_eq!((again.last, jacobian), (sample.last, 1.0), "{name}: {sample:?}");
+                assert_eq!(again.ending, sample.ending);
+                if sample.reconnection.is_none() {
+                    assert_eq!(again, sample, "{name}");
+                    same += 1;
+                } else {
+                    let error = (again.integrand - sample.integrand).abs().max_element();
+                    assert!(error <= 1e-3 * sample.integrand.max_element(), "{name}: {sample:?}");
+                    near += 1;
+                }
+                let wrong = PathSample { seed: seed ^ 1 << 40, ..sample };
+                let wrong = shift.try_shift(&wrong, at, at);
+                let differs = wrong.is_ok_and(|wrong| wrong.sample.integrand == sample.integrand);
+                other += u32::from(differs && sample.reconnection.is_none());
+            }
+        }
+    }
+    assert!(same > 1000 && near > 3000, "{same} to the bit, {near} to rounding");
+    // Those that meet nothing but mirrors and glass have one way at each.
+    assert!(other < same / 4, "{other} of {same} are the same by other numbers");
 }
 
 /// A path's reconnection is what its own vertices say: never the primary hit, no lobe behind a

@@ -14,9 +14,12 @@ use afterimage::reuse::paths::{
     Anchor, Connects, Ending, NO_LOBE, PathReceiver, PathSample, PathShift, Predicate,
     Reconnection, ShiftKind,
 };
-use afterimage::scene::{Geometry, Material, Roughness, Scene, Shape};
+use afterimage::scene::{
+    Channel, Color, ConductorColor, Geometry, Material, Roughness, Scalar, Scene, Shape, Texture,
+    TextureKind,
+};
 use afterimage::world::World;
-use glam::{DVec2, DVec3, Vec3};
+use glam::{Affine2, DVec2, DVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
 use crate::paths::{CONNECTS, drawn, receivers_at, rooms};
@@ -309,12 +312,33 @@ fn mirrors() -> Scene {
     scene
 }
 
+/// A room whose floor and balls have all roughnesses from 0 to 1 inside of a pixel.
+pub(crate) fn textured() -> Scene {
+    let mut scene = room();
+    let tone = |alpha: f32| Color::Constant(Vec3::splat(alpha));
+    let squares = |scene: &mut Scene, first: f32, second: f32, scale: f32| {
+        let kind = TextureKind::Checkerboard { first: tone(first), second: tone(second) };
+        let mapping = Affine2::from_scale(Vec2::splat(scale));
+        Scalar::Texture(scene.add_texture(Texture { kind, mapping }), Channel::Red)
+    };
+    for (instance, first, second) in [(0, 0.0, 1.0), (5, 0.03, 0.2), (6, 0.5, 0.01)] {
+        let u = squares(&mut scene, first, second, 61.0);
+        let v = squares(&mut scene, second, first, 47.0);
+        let material = scene.add_material(Material::Conductor {
+            color: ConductorColor::Reflectance(tone(0.9)),
+            roughness: Roughness { u, v, remap: false },
+        });
+        Arc::make_mut(&mut scene.objects[instance]).shapes[0].material = material;
+    }
+    scene
+}
+
 /// Shifts of `samples` paths of each room to `to` receivers each: all that are defined come back,
 /// by Jacobians whose product is 1, as what they were, in the stratum that they were in.
 fn trips((kind, predicate): (ShiftKind, Predicate), samples: u32, to: usize) -> [u64; 2] {
     let connects = Connects::new(CONNECTS.distance, kind).by(predicate);
     let mut total = [0, 0];
-    for scene in rooms() {
+    for scene in rooms().into_iter().chain([mirrors(), textured()]) {
         let stage = Stage::new(scene).unwrap();
         let world = stage.first_world();
         let all = receivers_at(world, Time::Now);

@@ -173,11 +173,27 @@ fn full_room() -> Scene {
 #[test]
 fn the_walk_without_a_bug_is_the_renderer_bit_for_bit() {
     let shot = shot([48, 32], 6, 3);
-    let stage = Stage::new(full_room()).unwrap();
+    steps_are_the_walk_in("a room", full_room(), shot);
+}
+
+fn steps_are_the_walk_in(name: &str, scene: Scene, shot: Shot) {
+    let stage = Stage::new(scene).unwrap();
+    assert!(!stage.first_world().has_alpha, "the copy knows no coverage");
     let rendered = picture(&stage, "nee:roulette=1000", shot);
     let copy = walked(stage.first_world(), Bug::None, shot);
-    assert_eq!(bits(&rendered), bits(&copy));
-    assert!(mean_red(&copy) > 0.1);
+    assert_eq!(bits(&rendered), bits(&copy), "{name}");
+    assert!(copy.mean_luminance() > 0.0, "{name} is black");
+}
+
+/// The walk in steps, which paths, their replays and their suffixes share with `nee`, is the walk
+/// written at one go, in every scene of the repository. (One sample a pixel: it is about bits.)
+#[test]
+fn steps_are_the_walk() {
+    let scenes = crate::support::own_scenes();
+    assert!(scenes.len() >= 8);
+    for (name, scene) in scenes {
+        steps_are_the_walk_in(&name, scene, shot([32, 24], 9, 1));
+    }
 }
 
 /// Whether light densities are what the geometry says: the largest relative error over 10⁴ sampled

@@ -1,5 +1,6 @@
 //! What the tests share: scenes built in code, and estimates with their standard errors.
 
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use afterimage::counters::Counters;
@@ -23,6 +24,18 @@ pub(crate) fn shot(size: [u32; 2], depth: u32, effort: u32) -> Shot {
 }
 
 /// A Lambert material.
+/// The scenes of the repository by their names, in the order of these.
+pub(crate) fn own_scenes() -> Vec<(String, Scene)> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes");
+    let files = std::fs::read_dir(folder).expect("the folder of scenes");
+    let mut files: Vec<_> = files.map(|file| file.expect("a file").path()).collect();
+    files.retain(|file| file.extension().is_some_and(|end| end == "pbrt"));
+    files.sort();
+    let load = |file: &PathBuf| afterimage::scene::load::load(file).expect("a scene").scene;
+    let name = |file: &PathBuf| file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    files.iter().map(|file| (name(file), load(file))).collect()
+}
+
 pub(crate) fn diffuse(scene: &mut Scene, albedo: f32) -> MaterialId {
     scene.add_material(Material::Diffuse { reflectance: Color::Constant(Vec3::splat(albedo)) })
 }

@@ -13,7 +13,7 @@ use glam::{Affine3A, Vec3};
 use crate::support::{bits, diffuse, light, look_at, metal, polygon, shot};
 
 /// A glossy floor, a diffuse wall, two lamps, a point light and a blocker.
-fn scene() -> Scene {
+pub(crate) fn scene() -> Scene {
     let mut scene = Scene::new("direct");
     let (white, glossy) = (diffuse(&mut scene, 0.7), metal(&mut scene, 0.3));
     let c = |x: f32, y: f32, z: f32| Vec3::new(x, y, z);

@@ -59,9 +59,9 @@ fn weights_of_all_families_but_the_constant_one_sum_to_one_over_the_inputs_that_
     assert!(constant_fails > 5000, "constant weights fail {constant_fails} times only");
 }
 
-type Out = Merged<usize, f32, Counting>;
+pub(super) type Out = Merged<usize, f32, Counting>;
 
-fn merged(
+pub(super) fn merged(
     map: &Finite,
     family: Family,
     inputs: &[Sample],
@@ -345,7 +345,7 @@ fn constant_weights_lose_a_seventh_of_the_one_over_m_toy() {
     }
 }
 
-fn certain(state: usize, weight: f32, confidence: f32) -> Sample {
+pub(super) fn certain(state: usize, weight: f32, confidence: f32) -> Sample {
     Finished { sample: Some(state), weight: ContributionWeight::new(weight), confidence }
 }
 

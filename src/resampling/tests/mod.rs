@@ -2,6 +2,7 @@
 //! enumerated on the very code that renders.
 
 mod laws;
+mod lobes;
 mod merging;
 mod mutation;
 mod numerics;

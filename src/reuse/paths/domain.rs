@@ -26,6 +26,8 @@ pub(crate) struct Paths<'a, F> {
     pub(crate) connects: Connects,
     /// Whether lights or geometry move.
     pub(crate) retraces: bool,
+    /// 2 where direct light has reservoirs of its own, which come first; else 1.
+    pub(crate) parts: u32,
 }
 
 /// Where the initial pass takes paths and light points from.
@@ -59,7 +61,8 @@ impl<F: HitFilter + Sync> Paths<'_, F> {
         let controls: &mut [Control] = band.take_some(inputs.plan.id(passes::CONTROLS));
         let normals: &mut [u32] = band.take_some(inputs.plan.id(NORMALS));
         for (local, pixel) in pixels.enumerate() {
-            let own = local * chains as usize..(local + 1) * chains as usize;
+            let reservoirs = chains * self.parts;
+            let own = local * reservoirs as usize..(local + 1) * reservoirs as usize;
             let direction = inputs.primary_direction(pixel);
             let receiver = hits[pixel.index as usize]
                 .get()
@@ -77,11 +80,14 @@ impl<F: HitFilter + Sync> Paths<'_, F> {
                 continue;
             };
             let seeds = inputs.seeds(pixel.index);
-            for (chain, at) in (0..chains).zip(own) {
-                let mut random = inputs.stream(pixel.index, Purpose::Selection, chain << 8);
+            for (number, at) in (0..reservoirs).zip(own) {
+                let (chain, part) = (number / self.parts, number % self.parts);
+                let [for_direct, for_walks] = [0, self.parts - 1].map(|its| part == its);
+                let mut random = inputs.stream(pixel.index, Purpose::Selection, number << 8);
                 let mut filling =
                     Filling { reservoir: Plain::default(), sum: Vec3::ZERO, direct: None };
                 if let Some(sources) = &mut fresh.direct
+                    && for_direct
                     && receiver.scatters()
                 {
                     let from = sources.at(pixel);
@@ -98,8 +104,8 @@ impl<F: HitFilter + Sync> Paths<'_, F> {
                         None => counters.shadow_rays_saved += 1,
                     }
                 }
-                for number in 0..fresh.walks {
-                    let number = chain * fresh.walks + number;
+                for walk in 0..if for_walks { fresh.walks } else { 0 } {
+                    let number = chain * fresh.walks + walk;
                     let seed = match &fresh.direct {
                         Some(_) => seeds.seed(PATHS + number),
                         None => seeds.seed(number),
@@ -202,6 +208,14 @@ impl<'a, F: HitFilter + Sync> Domain for Paths<'a, F> {
         self.frame
     }
 
+    fn parts(&self) -> u32 {
+        self.parts
+    }
+
+    fn lost(shift: &PathShift<'a, F>) -> f32 {
+        shift.lost.map_or(0.0, |failure| failure.number() as f32)
+    }
+
     #[inline]
     fn receiver(&self, hit: Hit, pixel: Pixel) -> PathReceiver<'a> {
         let direction = self.frame.primary_direction(pixel);
@@ -286,6 +300,11 @@ impl StoredReservoir for PathRecord {
     #[inline]
     fn policy_bits(&self) -> u16 {
         0
+    }
+
+    #[inline]
+    fn is_same(&self, other: &Self) -> bool {
+        self.is_same(other)
     }
 
     #[inline]

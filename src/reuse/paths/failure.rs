@@ -42,6 +42,12 @@ impl Failure {
         Self::NotFinite,
     ];
 
+    /// Its place in [`Failure::ALL`], from 1 on.
+    #[must_use]
+    pub fn number(self) -> u32 {
+        1 + Self::ALL.iter().position(|reason| *reason == self).unwrap_or(0) as u32
+    }
+
     /// Where shifts that failed for it are counted.
     #[must_use]
     pub const fn counter(self, counters: &mut Counters) -> &mut u64 {

@@ -27,6 +27,7 @@
 mod domain;
 mod failure;
 mod frames;
+mod layers;
 mod record;
 mod replay;
 mod shift;
@@ -38,6 +39,7 @@ use glam::Vec3;
 
 pub(crate) use domain::{Fresh, Paths};
 pub use failure::Failure;
+pub(crate) use layers::{Kept, layers};
 pub use record::PathRecord;
 pub use shift::{PathReceiver, PathShift};
 pub use tree::Tree;

@@ -162,6 +162,20 @@ impl PathRecord {
         all
     }
 
+    /// Whether both records hold a sample, and it has the same numbers: the same seed, or the same
+    /// light point.
+    #[must_use]
+    pub fn is_same(&self, other: &Self) -> bool {
+        let (own, other) = (&self.0, &other.0);
+        // Direct light has no seed.
+        let direct = bits(own[7], 0, 2) == 3;
+        own[0] != 0
+            && other[0] != 0
+            && own[4..6] == other[4..6]
+            && own[7] & 3 == other[7] & 3
+            && (!direct || own[8..11] == other[8..11])
+    }
+
     /// F of the sample; 0 without one.
     #[inline]
     #[must_use]

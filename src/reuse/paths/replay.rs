@@ -94,7 +94,7 @@ impl<F: HitFilter> PathShift<'_, F> {
         if trail.rough && there.point.as_ref().is_none_or(far) {
             return Err(Failure::Earlier);
         }
-        let integrand = replay.throughput * there.found.emission * there.found.share;
+        let integrand = replay.throughput * (there.found.emission * there.found.share);
         Ok(Connected { integrand, ending: there.ending, reconnection: None, jacobian: 1.0 })
     }
 }

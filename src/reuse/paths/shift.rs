@@ -48,6 +48,8 @@ pub struct PathShift<'a, F> {
     pub retraces: bool,
     /// Work done, and shifts that were undefined, by reason.
     pub counters: Counters,
+    /// Why the last shift that was undefined was.
+    pub lost: Option<Failure>,
 }
 
 /// How the vertex before `x_r` is left towards it.
@@ -73,7 +75,7 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
     #[must_use]
     pub fn new(filter: &'a F, connects: Connects, motion: Option<&'a Motion>) -> Self {
         let counters = Counters::default();
-        Self { filter, connects, motion, retraces: false, counters }
+        Self { filter, connects, motion, retraces: false, counters, lost: None }
     }
 
     /// The same, which traces what lies behind `x_r` again where the frame changes.
@@ -460,6 +462,7 @@ impl<'a, F: HitFilter> ShiftMap for PathShift<'a, F> {
             Err(failure) => {
                 self.counters.shifts_failed += 1;
                 *failure.counter(&mut self.counters) += 1;
+                self.lost = Some(failure);
                 None
             }
         }

@@ -291,6 +291,7 @@ impl RestirDi {
             mutations,
             boiling,
             max_age,
+            duplicates: 0.0,
         }
     }
 

@@ -63,8 +63,13 @@ pub(super) fn plan(technique: &RestirDi, facts: &SceneFacts, shot: &Shot) -> Pla
                 passes::add::<Record, P>(plan, &technique.settings(), initial);
             }
         }
-        let initial =
-            Initial { rays: [0, 0, emitter], shift_bounces: 0, between_frames: 0, shares: false };
+        let initial = Initial {
+            rays: [0, 0, emitter],
+            parts: 1,
+            shift_bounces: 0,
+            between_frames: 0,
+            shares: false,
+        };
         let passes = Passes { plan: &mut plan, technique, initial };
         technique.visibility.choose(technique.limits(), passes);
         technique.claim(facts, shot)

@@ -25,13 +25,13 @@ use crate::plan::{BufferPlan, Builder, Claim, Plan, SceneFacts, Shot};
 use crate::resampling::{ControlVariate, Decoupled, Estimator, Merges, Selected};
 use crate::reuse::light_points::{LightPoints, LightTiles, Supply};
 use crate::reuse::parameters::reuse_rows;
-use crate::reuse::passes::{self, Initial, Keys, kernel as reuse_kernel};
+use crate::reuse::passes::{self, Initial, Keys, Place, kernel as reuse_kernel};
 use crate::reuse::paths::{
-    Connects, Fresh, MOST_SEGMENTS, PathRecord, Paths, Predicate, ShiftKind,
+    self, Connects, Fresh, Kept, MOST_SEGMENTS, PathRecord, Paths, Predicate, ShiftKind,
 };
 use crate::reuse::policy::{InTarget, InTargetControl, Policy};
 use crate::reuse::{Reuse, Settings};
-use crate::spec::{self, Choice, Row, row};
+use crate::spec::{self, Choice, Field, Row, row};
 use crate::techniques::{Entry, Technique};
 use crate::world::WithFilter;
 
@@ -39,6 +39,8 @@ use crate::world::WithFilter;
 const DISTANCE: &str = "least distance of a connection, bits";
 /// Walks a chain.
 const WALKS: &str = "walks";
+/// Reservoirs of a chain.
+const PARTS: &str = "parts of the light with reservoirs of their own";
 /// Whether what lies behind a connection is traced again in another frame.
 const RETRACES: &str = "paths are traced again behind their connections";
 
@@ -51,15 +53,19 @@ pub enum Direct {
     Union,
     /// From the walks.
     Tree,
+    /// From candidates as in `restir-di`, in a reservoir of its own beside that of all other paths
+    /// (Lin et al. 2022): less noise, for twice the memory and reuse.
+    Separate,
 }
 
 impl Choice for Direct {
-    const ALL: &'static [Self] = &[Self::Union, Self::Tree];
+    const ALL: &'static [Self] = &[Self::Union, Self::Tree, Self::Separate];
 
     fn name(self) -> &'static str {
         match self {
             Self::Union => "union",
             Self::Tree => "tree",
+            Self::Separate => "separate",
         }
     }
 }
@@ -91,6 +97,51 @@ impl Choice for Shade {
     }
 }
 
+/// Values of all parameters for a purpose.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Preset {
+    /// Frame by frame, unbiased: the default.
+    #[default]
+    Unbiased,
+    /// Single pictures: no history, 32 walks a pixel, three rounds of six neighbours at most ten
+    /// pixels away.
+    Offline,
+    /// Frame by frame with fewer bright blotches: history counts less where pixels carry the same
+    /// path, and the brightest reservoirs are dropped; biased.
+    Interactive,
+}
+
+impl Choice for Preset {
+    const ALL: &'static [Self] = &[Self::Unbiased, Self::Offline, Self::Interactive];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Unbiased => "unbiased",
+            Self::Offline => "offline",
+            Self::Interactive => "interactive",
+        }
+    }
+}
+
+impl Preset {
+    /// The technique with these values.
+    #[must_use]
+    pub fn values(self) -> RestirPt {
+        let unbiased = RestirPt::default();
+        let reuse = unbiased.reuse;
+        match self {
+            Self::Unbiased => unbiased,
+            Self::Offline => {
+                let reuse = Settings { cap: 0, neighbours: 6, radius: 10.0, rounds: 3, ..reuse };
+                RestirPt { trees: 32, reuse, ..unbiased }
+            }
+            Self::Interactive => {
+                RestirPt { reuse: Settings { duplicates: 1.0, boiling: 0.2, ..reuse }, ..unbiased }
+            }
+        }
+    }
+}
+
 /// Numbers of the technique's own kernels; those of reuse are [`crate::reuse::passes::kernel`].
 mod kernel {
     pub(super) const TILES: u32 = 0;
@@ -98,6 +149,16 @@ mod kernel {
 
 fn rows() -> Vec<Row<RestirPt>> {
     let mut rows = vec![
+        Row {
+            key: "preset",
+            about: "values to begin with, which other keys change: unbiased, in real time; for single pictures without history; biased, with fewer blotches in real time",
+            field: Field::Choice(
+                || Preset::ALL.iter().map(|preset| preset.name()).collect(),
+                // A SPEC says all that differs from the first.
+                |_| 0,
+                |technique, place| *technique = Preset::ALL[place].values(),
+            ),
+        },
         row!(
             RestirPt,
             "trees",
@@ -126,25 +187,25 @@ fn rows() -> Vec<Row<RestirPt>> {
             RestirPt,
             "direct",
             choice direct: Direct,
-            "direct light: from candidates as in restir-di, in the same reservoir as all other light, or from the walks"
+            "direct light: from candidates as in restir-di, in the same reservoir as all other light, from the walks, or from candidates in a reservoir of its own (less noise, twice the memory)"
         ),
         row!(
             RestirPt,
             "candidates",
             candidates: 1..=1024,
-            "with direct=union, light samples a pixel, frame and chain"
+            "unless direct=tree, light samples a pixel, frame and chain"
         ),
         row!(
             RestirPt,
             "bsdf",
             bsdf: 0..=64,
-            "with direct=union, BSDF samples a pixel, frame and chain; a ray each"
+            "unless direct=tree, BSDF samples a pixel, frame and chain; a ray each"
         ),
         row!(
             RestirPt,
             "tiles",
             choice tiles: LightTiles,
-            "with direct=union, light points made ahead in tiles that fit the cache"
+            "unless direct=tree, light points made ahead in tiles that fit the cache"
         ),
         row!(
             RestirPt,
@@ -159,6 +220,12 @@ fn rows() -> Vec<Row<RestirPt>> {
             "what is shown: the selected path, all inputs of the last merge, or an estimate that all of them correct, with the least noise in colour for 8 bytes"
         ),
     ];
+    rows.push(row!(
+        RestirPt,
+        "duplicates",
+        number reuse.duplicates: 0.0..=1.0,
+        "how much less history counts where pixels nearby carry the same path; 0 is off; biased"
+    ));
     // Paths are not mutated, and `shade` says how they are shown.
     let ours = |row: &Row<RestirPt>| !["mutations", "decoupled"].contains(&row.key);
     rows.extend(reuse_rows!(RestirPt, reuse).into_iter().filter(ours));
@@ -190,15 +257,15 @@ pub struct RestirPt {
     pub predicate: Predicate,
     /// Where direct light comes from.
     pub direct: Direct,
-    /// With [`Direct::Union`], light samples a pixel, frame and chain, in [1, 1024].
+    /// Unless [`Direct::Tree`], light samples a pixel, frame and chain, in [1, 1024].
     ///
     /// More is less noise for more time.
     pub candidates: u32,
-    /// With [`Direct::Union`], BSDF samples a pixel, frame and chain, in [0, 64].
+    /// Unless [`Direct::Tree`], BSDF samples a pixel, frame and chain, in [0, 64].
     ///
     /// They find large lights on glossy surfaces, for a ray each.
     pub bsdf: u32,
-    /// With [`Direct::Union`], whether light points are made ahead in tiles that fit the cache.
+    /// Unless [`Direct::Tree`], whether light points are made ahead in tiles that fit the cache.
     pub tiles: LightTiles,
     /// With [`Taps::Xor`](crate::reuse::Taps::Xor) and [`Taps::Pairs`](crate::reuse::Taps::Pairs),
     /// whether a shift is made once for both pixels that ask for it.
@@ -245,11 +312,11 @@ impl RestirPt {
         spec::check(&rows(), self)?;
         let Settings { decoupled, neighbours, mutations, .. } = self.reuse;
         let Self { candidates, bsdf, tiles, .. } = Self::default();
-        if self.direct != Direct::Union
+        if self.direct == Direct::Tree
             && (self.candidates, self.bsdf, self.tiles) != (candidates, bsdf, tiles)
         {
             return Err(Error::usage(format!(
-                "`candidates`, `bsdf` and `tiles` need `direct=union`, but it is `{}`",
+                "`candidates`, `bsdf` and `tiles` need `direct=union` or `separate`, but it is `{}`",
                 self.direct.name()
             )));
         }
@@ -312,6 +379,9 @@ impl RestirPt {
         if settings.boiling > 0.0 {
             reasons.push("the boiling filter drops bright samples".into());
         }
+        if settings.duplicates > 0.0 && temporal {
+            reasons.push("history counts by what it holds (`duplicates`)".into());
+        }
         Claim::unless(&reasons)
     }
 }
@@ -337,7 +407,7 @@ impl Technique for RestirPt {
         }
         plan.constant(DISTANCE, Connects::of_diagonal(facts.diagonal).distance.to_bits());
         let scatterings = u64::from(shot.depth) - 1;
-        let direct = self.direct == Direct::Union;
+        let direct = self.direct != Direct::Tree;
         let walks = if direct && shot.depth == 2 && !facts.delta_lobes {
             plan.skip("paths of other light", "the depth is 2 and no lobe is a delta");
             0
@@ -355,7 +425,10 @@ impl Technique for RestirPt {
                 "neither lights nor geometry move",
             );
         }
+        let parts = if self.direct == Direct::Separate && walks > 0 { 2 } else { 1 };
+        plan.constant(PARTS, parts);
         let initial = Initial {
+            parts,
             rays: [walks, walks, emitter],
             shift_bounces: scatterings,
             between_frames: retraces.into(),
@@ -382,6 +455,25 @@ impl Technique for RestirPt {
         let records: &[PathRecord] = bytemuck::cast_slice(element);
         records.iter().flat_map(PathRecord::describe).collect()
     }
+
+    fn layers<'f>(
+        &self,
+        plan: &Plan,
+        size: [u32; 2],
+        buffer: &dyn Fn(&str) -> Option<&'f [u32]>,
+    ) -> Vec<(&'static str, Vec<f32>)> {
+        let places = [Place::History, Place::Reservoirs].map(Keys::<PathRecord>::at);
+        let Some(records) = places.iter().find_map(|key| buffer(key.name)) else {
+            return Vec::new();
+        };
+        let shifts = buffer(passes::SHIFTS.name).unwrap_or(&[]);
+        paths::layers(&Kept {
+            size,
+            records: bytemuck::cast_slice(records),
+            shown: plan.constant(PARTS).unwrap_or(1) as usize - 1,
+            shifts: bytemuck::cast_slice(shifts),
+        })
+    }
 }
 
 /// One call of a kernel, before the type of the coverage filter is chosen.
@@ -401,7 +493,8 @@ impl WithFilter for Call<'_, '_, '_> {
         let distance = f32::from_bits(fixed(DISTANCE));
         let connects = Connects::new(distance, technique.shift).by(technique.predicate);
         let retraces = fixed(RETRACES) != 0;
-        let paths = Paths { frame: inputs, filter: &filter, connects, retraces };
+        let parts = fixed(PARTS);
+        let paths = Paths { frame: inputs, filter: &filter, connects, retraces, parts };
         if kernel == kernel::TILES {
             let large_steps = 0.0;
             let points = LightPoints::<F, true> { frame: inputs, filter: &filter, large_steps };
@@ -413,7 +506,7 @@ impl WithFilter for Call<'_, '_, '_> {
                 roulette_after: technique.roulette_after,
             };
             let direct =
-                (technique.direct == Direct::Union).then(|| technique.supply().sources(inputs));
+                (technique.direct != Direct::Tree).then(|| technique.supply().sources(inputs));
             return paths.initial(Fresh { walks: fixed(WALKS), limits, direct }, band);
         }
         let settings = technique.settings();
@@ -479,6 +572,15 @@ mod tests {
             assert!(error.to_string().contains(text), "{technique:?}: {error}");
         }
         assert!(parse("restir-pt:mutations=1").is_err());
+        let offline = parse("restir-pt:rounds=2,preset=offline").unwrap();
+        let as_said = "restir-pt:trees=32,cap=0,neighbours=6,radius=10,rounds=2";
+        assert_eq!(offline.spec(), as_said);
+        assert_eq!(parse(as_said).unwrap().spec(), as_said);
+        assert_eq!(parse("restir-pt:preset=unbiased").unwrap().spec(), "restir-pt");
+        let claim = |spec| parse(spec).unwrap().plan(stage().facts(), &shot(4)).claim;
+        assert!(matches!(claim("restir-pt:preset=interactive"), Claim::Biased(_)));
+        assert!(matches!(claim("restir-pt:duplicates=0.5"), Claim::Biased(_)));
+        assert_eq!(claim("restir-pt:preset=offline"), Claim::Unbiased);
         let spec = "restir-pt:trees=3,cap=4,mis=balance";
         assert_eq!(parse(spec).unwrap().spec(), spec);
     }

@@ -19,6 +19,7 @@ pub(super) const RUNGS: &[Rung] = &[
     Rung::new("temporal", "neighbours=0", Moving::Still),
     Rung::new("full", "", Moving::Still),
     Rung::new("full, tree", "direct=tree", Moving::Still),
+    Rung::new("full, separate", "direct=separate", Moving::Still),
     Rung::new("every pixel", "mature=0", Moving::Still),
     Rung::new("selected", "shade=selected,mature=0", Moving::Still),
     Rung::new("decoupled", "shade=decoupled,mature=0", Moving::Still),
@@ -47,6 +48,7 @@ pub(super) fn variants() -> Vec<String> {
         "neighbours=0",
         "trees=3",
         "direct=tree",
+        "direct=separate,neighbours=2,mature=0",
         "predicate=footprint,mature=0",
         "shift=reconnection,mature=0",
         "shift=replay,mature=0,direct=tree",
@@ -58,6 +60,8 @@ pub(super) fn variants() -> Vec<String> {
         "shade=decoupled",
         "shade=selected",
         "boiling=0.2,max-age=60",
+        "preset=offline,trees=2",
+        "preset=interactive,mature=0",
     ] {
         all.push(keys.to_string());
     }
