@@ -140,7 +140,7 @@ pub(super) fn run(args: &RenderArgs) -> Result<Status> {
     let mut layers = vec![Layer::rgb("color", &all)];
     layers.extend(guide_layers(&shown.guides));
     let kept = shown.kept.into_iter();
-    layers.extend(kept.map(|(name, values)| Layer::scalar(&format!("kept.{name}"), "Y", values)));
+    layers.extend(kept.map(|(name, values)| Layer::scalar(format!("kept.{name}"), "Y", values)));
     layers.push(Layer::rgb("emission", &shown.emission));
     write_exr(&out, session.shot.size, &layers)?;
     let png = out.with_extension("png");
