@@ -100,7 +100,10 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
                     [&*record, &previous].map(|record| self.policy.average(record.policy_bits()));
                 let merged = merge_history(
                     &mut Same(PhantomData),
-                    (self.settings.temporal_mis, self.cap(history, pixel, (first + chain, chain))),
+                    (
+                        self.settings.temporal_mis,
+                        self.cap(history, [pixel; 2], (first + chain, chain)),
+                    ),
                     &input(record),
                     &input(&previous),
                     &mut reservoir,
@@ -160,7 +163,7 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
                 }
                 counters.temporal_merges += 1;
                 let mut frames = Frames::<D> {
-                    cap: self.cap(history, there, (from, chain)),
+                    cap: self.cap(history, [pixel, there], (from, chain)),
                     record: records[at],
                     receiver: &receiver,
                     control: Control::default(),
@@ -278,14 +281,19 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
     /// pixels around it, in a square of [`AROUND`] pixels, carry its sample too. That depends on
     /// the samples, so it is biased.
     #[inline]
-    fn cap(&self, history: &[D::Record], there: Pixel, (from, chain): (usize, usize)) -> f32 {
+    fn cap(
+        &self,
+        history: &[D::Record],
+        [pixel, there]: [Pixel; 2],
+        (from, chain): (usize, usize),
+    ) -> f32 {
         let Settings { cap, duplicates, .. } = self.settings;
         let cap = cap as f32;
         if duplicates == 0.0 {
             return cap;
         }
         let [width, height] = self.domain.frame().shot.size;
-        let mut random = self.stream(there, Purpose::Neighbours, FIRST_LOOK, chain);
+        let mut random = self.stream(pixel, Purpose::Neighbours, FIRST_LOOK, chain);
         let mut near = |at: u32, size: u32| {
             let at = (at + random.index(AROUND)).saturating_sub(AROUND / 2);
             at.min(size - 1)

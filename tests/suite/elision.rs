@@ -7,8 +7,8 @@ use afterimage::counters::Counters;
 use afterimage::frame::{FrameLoop, Stage};
 use afterimage::plan::{Filter, Shot};
 use afterimage::scene::{
-    Channel, Color, ConductorColor, Geometry, LightKind, Material, MaterialId, Roughness, Scalar,
-    Scene, Shape, Texture, TextureKind, Track, Transform,
+    Channel, Color, ConductorColor, Curve, Geometry, Interpolation, LightKind, Material,
+    MaterialId, Roughness, Scalar, Scene, Shape, Texture, TextureKind, Track, Transform,
 };
 use afterimage::techniques::{REGISTRY, parse};
 use afterimage::world::Built;
@@ -194,12 +194,12 @@ fn primary_rays_of_a_still_scene_are_traced_once() {
     let at = |affine: Affine3A| affine.translation.into();
     let (_, rotation, _) = camera.to_scale_rotation_translation();
     moving.camera.to_world = Transform::Chain(vec![Track::Trs {
-        translation: afterimage::scene::Curve {
+        translation: Curve {
             keys: vec![(0.0, at(camera)), (1.0, at(end))],
-            interpolation: afterimage::scene::Interpolation::Linear,
+            interpolation: Interpolation::Linear,
         },
-        rotation: afterimage::scene::Curve::constant(rotation),
-        scale: afterimage::scene::Curve::constant(Vec3::ONE),
+        rotation: Curve::constant(rotation),
+        scale: Curve::constant(Vec3::ONE),
     }]);
     let (still, moving) = (Stage::new(room()).unwrap(), Stage::new(moving).unwrap());
     let pixels = 24 * 16;
@@ -471,6 +471,63 @@ impl afterimage::techniques::Technique for Told {
         let radiance: &mut [[f32; 3]] = band.take(afterimage::plan::Plan::RADIANCE);
         radiance.fill([f32::from(u8::from(inputs.motion.is_some())); 3]);
         Counters::default()
+    }
+}
+
+/// A placement that stays where it is but says that it moves.
+fn restless(place: Affine3A) -> Transform {
+    let (_, rotation, translation) = place.to_scale_rotation_translation();
+    let keys = vec![(0.0, translation), (1.0, translation)];
+    let translation = Curve { keys, interpolation: Interpolation::Linear };
+    let (rotation, scale) = (Curve::constant(rotation), Curve::constant(Vec3::ONE));
+    Transform::Chain(vec![Track::Trs { translation, rotation, scale }])
+}
+
+/// What lies behind a path's connection is traced again only where lights or geometry may move, and
+/// the roughness of lobes is asked for only where some lobe has one: the pictures are the same to
+/// the bit. The controls, a camera or a wall that stands elsewhere, are others.
+#[test]
+fn paths_take_what_the_scene_needs() {
+    let again = "tracing paths again behind their connections";
+    let rough = "roughness of the lobes that paths are connected by";
+    let shot = shot([24, 16], 6, 1);
+    let pictures = |scene: &Scene, spec: &str| {
+        let stage = Stage::new(scene.clone()).unwrap();
+        let mut frames = FrameLoop::new(Arc::from(parse(spec).unwrap()), &stage, shot).unwrap();
+        let bits: Vec<_> = (0..5).map(|_| bits(&frames.render().unwrap().picture())).collect();
+        (bits, [again, rough].map(|what| skips(&stage, spec, &shot, what)))
+    };
+    let mut moves = room();
+    let at = |x: f32| look_at(Vec3::new(x, 1.0, -3.0), Vec3::Y, 0.75).to_world.fixed();
+    let place = |x: f32| at(x).to_scale_rotation_translation().2;
+    let keys = vec![(0.0, place(0.0)), (1.0, place(1.0))];
+    let translation = Curve { keys, interpolation: Interpolation::Linear };
+    let rotation = Curve::constant(at(0.0).to_scale_rotation_translation().1);
+    let track = Track::Trs { translation, rotation, scale: Curve::constant(Vec3::ONE) };
+    moves.camera.to_world = Transform::Chain(vec![track]);
+    moves.time = [0.0, 1.0];
+    let mut wall = moves.clone();
+    wall.instances[1].to_world = restless(wall.instances[1].to_world.fixed());
+    // Everything matt, and a glossy ball that no path reaches, inside of a matt one.
+    let mut matt = moves.clone();
+    let white = diffuse(&mut matt, 0.6);
+    for object in &mut matt.objects {
+        Arc::make_mut(object).shapes.iter_mut().for_each(|shape| shape.material = white);
+    }
+    let mut hidden = matt.clone();
+    let glossy = crate::support::metal(&mut hidden, 0.3);
+    let center = Vec3::new(-0.5, 0.375, 0.25);
+    let ball = Geometry::Sphere { center, radius: 0.125 };
+    hidden.add_shape(Shape::new(ball, glossy));
+    for keys in ["", ":direct=tree,neighbours=2,mature=0", ":predicate=footprint,shade=selected"] {
+        let spec = format!("restir-pt{keys}");
+        let [moves, wall, matt, hidden] =
+            [&moves, &wall, &matt, &hidden].map(|scene| pictures(scene, &spec));
+        assert_eq!((moves.1, wall.1), ([true, false], [false, false]));
+        assert_eq!((matt.1, hidden.1), ([true, true], [true, false]));
+        assert_eq!(moves.0, wall.0, "{spec}");
+        assert_eq!(matt.0, hidden.0, "{spec}");
+        assert_ne!(moves.0, matt.0);
     }
 }
 

@@ -3,14 +3,18 @@
 
 use std::sync::Arc;
 
+use afterimage::accel::AcceptAll;
 use afterimage::frame::{FrameLoop, Stage};
+use afterimage::math::rng::{Stream, path_seed};
 use afterimage::plan::Filter;
+use afterimage::reuse::light_points::Time;
+use afterimage::reuse::paths::{Anchor, PathReceiver, PathShift};
 use afterimage::scene::{LightKind, Material, Scene, Shape, Transform};
 use afterimage::techniques::{REGISTRY, Technique, parse};
 use glam::{Affine3A, Quat, Vec3};
 
 use crate::course::{Course, Look, assert_unbiased};
-use crate::paths::rooms;
+use crate::paths::{CONNECTS, drawn, receivers_at, rooms};
 use crate::paths_moved::halves;
 use crate::support::{bits, diffuse, environment, light, look_at, metal, polygon, room, shot};
 
@@ -192,6 +196,76 @@ fn h_no_reconnection_vertex() {
         scene.camera = look_at(Vec3::new(t, 1.0, -3.0), Vec3::new(t, 1.0, 0.0), 0.75);
     };
     holds(&Course { base, at }, &[1], &KINDS[1..]);
+}
+
+/// Neighbours whose shifts fail keep their share: a comb of walls before a lamp, so that most paths
+/// of a pixel are hidden from the next.
+#[test]
+fn h_failed_partner_keeps_its_share() {
+    let mut base = rooms()[0].clone();
+    let grey = diffuse(&mut base, 0.7);
+    for tooth in 0..9 {
+        let x = -0.8 + 0.2 * tooth as f32;
+        let corners = [(0.0, -0.9), (0.5, -0.9), (0.5, 0.9), (0.0, 0.9)];
+        let wall = corners.map(|(y, z)| Vec3::new(x, y, z));
+        base.add_shape(Shape::new(polygon(&wall), grey));
+    }
+    for keys in ["cap=0,neighbours=3,taps=random,radius=4", "cap=0,neighbours=3,taps=pairs"] {
+        let stage = Stage::new(base.clone()).unwrap();
+        let technique = Arc::from(parse(&format!("restir-pt:{keys}")).unwrap());
+        let mut frames = FrameLoop::new(technique, &stage, shot([18, 12], 4, 1)).unwrap();
+        let counters = frames.render().unwrap().counters;
+        assert!(10 * counters.shifts_failed > counters.shifts, "{counters:?}");
+        holds(&Course { base: base.clone(), at: |_, _| () }, &[1], &[keys]);
+    }
+}
+
+/// The surface at the reconnection vertex is asked again as the new path comes to it: where the
+/// second vertex is glossy, F is the product of both surfaces' answers; with its answer to the old
+/// path, the control, it is another number.
+#[test]
+fn h_x2_bsdf_reevaluated() {
+    let (mut met, mut told) = (0, 0);
+    let stage = Stage::new(crate::paths_exact::textured()).unwrap();
+    let world = stage.first_world();
+    let all = receivers_at(world, Time::Now);
+    let mut shift = PathShift::new(&AcceptAll, CONNECTS, None);
+    let mut random = Stream::from_key(51);
+    for (pixel, from) in all.iter().enumerate() {
+        for walk in 0..32 {
+            let to = &all[(7 * pixel + 31 * walk as usize) % all.len()];
+            let seed = path_seed(52, pixel as u32, 0, walk);
+            let Some(sample) = drawn(world, from, seed, &mut random).sample else { continue };
+            let Some(kept) = sample.reconnection else { continue };
+            let (1, Anchor::Surface(hit), true) = (kept.vertex, kept.anchor, sample.last > 1)
+            else {
+                continue;
+            };
+            let Ok(there) = shift.try_shift(&sample, from, to) else { continue };
+            // f/p̄ of the receiver towards x_r, and of x_r onward as `seen_from` comes to it.
+            let product = |at: &PathReceiver<'_>, seen_from: &PathReceiver<'_>| {
+                let (own, kept_surface) = (world.surface(&at.hit), world.surface(&hit));
+                let towards = (kept_surface.position - own.position).normalize();
+                let first = own
+                    .bsdf
+                    .evaluate(own.frame.to_local(-at.direction), own.frame.to_local(towards));
+                let came = world.surface(&seen_from.hit).position - kept_surface.position;
+                let second = kept_surface.bsdf.evaluate(
+                    kept_surface.frame.to_local(came.normalize()),
+                    kept_surface.frame.to_local(kept.direction),
+                );
+                first.value / first.pdf * (second.value / second.pdf) * kept.radiance
+            };
+            let (right, stale) = (product(to, to), product(to, from));
+            let off = |value: Vec3| {
+                (there.integrand - value).abs().max_element() / there.integrand.max_element()
+            };
+            assert!(off(right) < 2e-3, "{sample:?} {there:?}: {right}");
+            told += u32::from(off(stale) > 0.02);
+            met += 1;
+        }
+    }
+    assert!(met > 300 && told > 30, "{met} paths, {told} tell");
 }
 
 /// The previous frame's target belongs to the previous frame's camera: glossy floors, a camera that

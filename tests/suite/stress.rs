@@ -45,6 +45,14 @@ fn survives(id: &str, scene: Scene) -> (Picture, Counters) {
             assert!(picture.pixels.iter().all(|p| p.min_element() >= 0.0), "{id}: negative light");
             last = Some((picture, frame.counters));
         }
+        for keys in (entry.variants)() {
+            let technique = Arc::from(entry.parse(&keys).unwrap());
+            let mut frames = FrameLoop::new(technique, &stage, shot([16, 16], 6, 1)).unwrap();
+            frames.render().unwrap();
+            let frame = frames.render().unwrap();
+            let lost = (frame.counters.non_finite, frame.picture().non_finite());
+            assert_eq!(lost, (0, 0), "{id} {}:{keys}", entry.name);
+        }
     }
     last.expect("a technique")
 }

@@ -186,7 +186,7 @@ impl Choice for ShiftKind {
 pub struct Connects {
     /// Least distance, in scene units.
     pub distance: f32,
-    /// Least α of a lobe.
+    /// Least α of a lobe; 0 where all are Lambert's.
     pub roughness: f32,
     /// Which shift it is for.
     pub kind: ShiftKind,
@@ -231,6 +231,12 @@ impl Connects {
     #[must_use]
     pub fn new(distance: f32, kind: ShiftKind) -> Self {
         Self { distance, roughness: Self::ROUGHNESS, kind, predicate: Predicate::Distance }
+    }
+
+    /// The same for surfaces that are all matt, which are not asked how rough they are.
+    #[must_use]
+    pub fn matt(self, matt: bool) -> Self {
+        Self { roughness: if matt { 0.0 } else { self.roughness }, ..self }
     }
 
     /// The same by another predicate.

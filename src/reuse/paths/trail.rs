@@ -25,7 +25,9 @@ impl Connects {
     /// rough enough, and a replay connects nothing.
     #[inline]
     pub(super) fn is_rough(&self, bsdf: &Bsdf, lobe: u32) -> bool {
-        self.kind != ShiftKind::Replay && bsdf.lobe_roughness(lobe) >= self.roughness
+        // Where no lobe has a roughness, none is asked.
+        self.kind != ShiftKind::Replay
+            && (self.roughness == 0.0 || bsdf.lobe_roughness(lobe) >= self.roughness)
     }
 
     /// Whether a vertex may be left by a lobe, or by a light sample, which takes all: what the

@@ -37,6 +37,8 @@ use crate::world::WithFilter;
 
 /// The bits of the least distance of a connection, as an f32.
 const DISTANCE: &str = "least distance of a connection, bits";
+/// Whether all lobes are Lambert's.
+const MATT: &str = "all lobes are matt";
 /// Walks a chain.
 const WALKS: &str = "walks";
 /// Reservoirs of a chain.
@@ -407,6 +409,11 @@ impl Technique for RestirPt {
         }
         plan.constant(DISTANCE, Connects::of_diagonal(facts.diagonal).distance.to_bits());
         let scatterings = u64::from(shot.depth) - 1;
+        let matt = !facts.delta_lobes && !facts.glossy_lobes;
+        plan.constant(MATT, matt.into());
+        if matt {
+            plan.skip("roughness of the lobes that paths are connected by", "all are matt");
+        }
         let direct = self.direct != Direct::Tree;
         let walks = if direct && shot.depth == 2 && !facts.delta_lobes {
             plan.skip("paths of other light", "the depth is 2 and no lobe is a delta");
@@ -491,7 +498,8 @@ impl WithFilter for Call<'_, '_, '_> {
         let Call { technique, kernel, inputs, band } = self;
         let fixed = |name| inputs.plan.constant(name).expect("the plan fixes what kernels ask for");
         let distance = f32::from_bits(fixed(DISTANCE));
-        let connects = Connects::new(distance, technique.shift).by(technique.predicate);
+        let matt = fixed(MATT) != 0;
+        let connects = Connects::new(distance, technique.shift).by(technique.predicate).matt(matt);
         let retraces = fixed(RETRACES) != 0;
         let parts = fixed(PARTS);
         let paths = Paths { frame: inputs, filter: &filter, connects, retraces, parts };
