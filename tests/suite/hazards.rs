@@ -220,9 +220,9 @@ fn h_failed_partner_keeps_its_share() {
     }
 }
 
-/// The surface at the reconnection vertex is asked again as the new path comes to it: where the
-/// second vertex is glossy, F is the product of both surfaces' answers; with its answer to the old
-/// path, the control, it is another number.
+/// The surface at the reconnection vertex is asked again as the new path comes to it: F and the
+/// density are the products of both surfaces' answers. With its answer to the old path, the
+/// control, the density is another where that surface is glossy.
 #[test]
 fn h_x2_bsdf_reevaluated() {
     let (mut met, mut told) = (0, 0);
@@ -232,7 +232,7 @@ fn h_x2_bsdf_reevaluated() {
     let mut shift = PathShift::new(&AcceptAll, CONNECTS, None);
     let mut random = Stream::from_key(51);
     for (pixel, from) in all.iter().enumerate() {
-        for walk in 0..32 {
+        for walk in 0..128 {
             let to = &all[(7 * pixel + 31 * walk as usize) % all.len()];
             let seed = path_seed(52, pixel as u32, 0, walk);
             let Some(sample) = drawn(world, from, seed, &mut random).sample else { continue };
@@ -242,26 +242,31 @@ fn h_x2_bsdf_reevaluated() {
                 continue;
             };
             let Ok(there) = shift.try_shift(&sample, from, to) else { continue };
-            // f/p̄ of the receiver towards x_r, and of x_r onward as `seen_from` comes to it.
-            let product = |at: &PathReceiver<'_>, seen_from: &PathReceiver<'_>| {
-                let (own, kept_surface) = (world.surface(&at.hit), world.surface(&hit));
-                let towards = (kept_surface.position - own.position).normalize();
-                let first = own
-                    .bsdf
-                    .evaluate(own.frame.to_local(-at.direction), own.frame.to_local(towards));
-                let came = world.surface(&seen_from.hit).position - kept_surface.position;
-                let second = kept_surface.bsdf.evaluate(
-                    kept_surface.frame.to_local(came.normalize()),
-                    kept_surface.frame.to_local(kept.direction),
-                );
-                first.value / first.pdf * (second.value / second.pdf) * kept.radiance
+            // F and density of the receiver towards x_r, and of x_r onward as `seen_from` comes
+            // to it.
+            let product = |seen_from: &PathReceiver<'_>| {
+                let (own, far) = (world.surface(&to.hit), world.surface(&hit));
+                let way = far.position - own.position;
+                let seen = own.frame.to_local(-to.direction);
+                let towards = own.frame.to_local(way.normalize());
+                let came = world.surface(&seen_from.hit).position - far.position;
+                let came = far.frame.to_local(came.normalize());
+                let onward = far.frame.to_local(kept.direction);
+                let [near, lobes] =
+                    [own.bsdf.evaluate(seen, towards), far.bsdf.evaluate(came, onward)];
+                let f = near.value / near.pdf * (lobes.value / lobes.pdf) * kept.radiance;
+                let joint = own.bsdf.evaluate_lobe(kept.lobes[0].into(), seen, towards).pdf
+                    * far.bsdf.evaluate_lobe(kept.lobes[1].into(), came, onward).pdf;
+                let cosine = way.normalize().dot(far.geometric_normal).abs();
+                (f, joint * cosine / way.length_squared())
             };
-            let (right, stale) = (product(to, to), product(to, from));
-            let off = |value: Vec3| {
-                (there.integrand - value).abs().max_element() / there.integrand.max_element()
-            };
-            assert!(off(right) < 2e-3, "{sample:?} {there:?}: {right}");
-            told += u32::from(off(stale) > 0.02);
+            let density = there.sample.reconnection.unwrap().density;
+            let (f, right) = product(to);
+            let error = (there.integrand - f).abs().max_element();
+            assert!(error < 2e-3 * f.max_element(), "{sample:?} {there:?}: {f}");
+            assert!((density / right - 1.0).abs() < 5e-3, "{there:?}: {right}");
+            let stale = (density / product(from).1 - 1.0).abs() > 0.02;
+            told += u32::from(stale);
             met += 1;
         }
     }
