@@ -59,13 +59,14 @@ pub(crate) fn frames(spec: &str, shot: Shot, moving: bool) -> Vec<Picture> {
 #[test]
 fn depth_two_is_restir_di() {
     for moving in [false, true] {
-        for keys in ["", ",neighbours=3,taps=random,mature=0", ",temporal-mis=pairwise,mis=balance"]
+        for (mature, keys) in
+            [(8, ""), (0, ",neighbours=3,taps=random"), (1, ",temporal-mis=pairwise,mis=balance")]
         {
             for shot in [shot([25, 16], 2, 1), shot([16, 16], 2, 2)] {
                 let [di, pt, other] = [
-                    format!("restir-di:candidates=6{keys}"),
-                    format!("restir-pt:candidates=6,shade=selected{keys}"),
-                    format!("restir-pt:candidates=7,shade=selected{keys}"),
+                    format!("restir-di:candidates=6,mature={mature}{keys}"),
+                    format!("restir-pt:candidates=6,mature={mature},shade=selected{keys}"),
+                    format!("restir-pt:candidates=7,mature={mature},shade=selected{keys}"),
                 ]
                 .map(|spec| frames(&spec, shot, moving));
                 for (frame, (di, pt)) in di.iter().zip(&pt).enumerate() {

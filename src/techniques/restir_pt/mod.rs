@@ -282,8 +282,10 @@ pub struct RestirPt {
 }
 
 impl Default for RestirPt {
-    /// The unbiased preset.
+    /// The unbiased preset. Its neighbours are asked in every frame, since indirect light is often
+    /// found by few pixels.
     fn default() -> Self {
+        let reuse = Settings { mature: 0, ..Settings::default() };
         Self {
             trees: 1,
             roulette_after: 5,
@@ -295,7 +297,7 @@ impl Default for RestirPt {
             tiles: LightTiles::Auto,
             shared: true,
             shade: Shade::Control,
-            reuse: Settings::default(),
+            reuse,
         }
     }
 }

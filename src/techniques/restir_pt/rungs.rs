@@ -20,13 +20,13 @@ pub(super) const RUNGS: &[Rung] = &[
     Rung::new("full", "", Moving::Still),
     Rung::new("full, tree", "direct=tree", Moving::Still),
     Rung::new("full, separate", "direct=separate", Moving::Still),
-    Rung::new("every pixel", "mature=0", Moving::Still),
-    Rung::new("selected", "shade=selected,mature=0", Moving::Still),
-    Rung::new("decoupled", "shade=decoupled,mature=0", Moving::Still),
-    Rung::new("reconnection only", "shift=reconnection,mature=0", Moving::Still),
-    Rung::new("replay only", "shift=replay,mature=0", Moving::Still),
-    Rung::new("footprint", "predicate=footprint,mature=0", Moving::Still),
-    Rung::new("paired", "taps=pairs,neighbours=3,mature=0", Moving::Still),
+    Rung::new("until mature", "mature=8", Moving::Still),
+    Rung::new("selected", "shade=selected", Moving::Still),
+    Rung::new("decoupled", "shade=decoupled", Moving::Still),
+    Rung::new("reconnection only", "shift=reconnection", Moving::Still),
+    Rung::new("replay only", "shift=replay", Moving::Still),
+    Rung::new("footprint", "predicate=footprint", Moving::Still),
+    Rung::new("paired", "taps=pairs,neighbours=3", Moving::Still),
     Rung::new("moving camera", "", Moving::Camera),
     Rung::new("moving light", "", Moving::Light),
     Rung::new("moving occluder", "", Moving::Occluder),
@@ -41,27 +41,27 @@ pub(super) fn variants() -> Vec<String> {
     let mut all: Vec<String> = Family::ALL
         .map(Family::name)
         .iter()
-        .map(|family| format!("mis={family},temporal-mis={family},neighbours=3,mature=0"))
+        .map(|family| format!("mis={family},temporal-mis={family},neighbours=3"))
         .collect();
     for keys in [
         "cap=0",
         "neighbours=0",
         "trees=3",
         "direct=tree",
-        "direct=separate,neighbours=2,mature=0",
-        "predicate=footprint,mature=0",
-        "shift=reconnection,mature=0",
-        "shift=replay,mature=0,direct=tree",
+        "direct=separate,neighbours=2",
+        "predicate=footprint",
+        "shift=reconnection",
+        "shift=replay,direct=tree",
         "tiles=on,candidates=4,bsdf=2",
         "spatial=display,rounds=2",
         "taps=random,mature=4",
-        "taps=pairs,neighbours=2,mature=0",
+        "taps=pairs,neighbours=2",
         "shared=false,rounds=2",
         "shade=decoupled",
         "shade=selected",
         "boiling=0.2,max-age=60",
         "preset=offline,trees=2",
-        "preset=interactive,mature=0",
+        "preset=interactive",
     ] {
         all.push(keys.to_string());
     }
