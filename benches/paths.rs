@@ -61,7 +61,7 @@ fn drawn(
     reservoir.finish(target, 1.0)
 }
 
-/// What a shift connects to.
+/// Names what a shift connects to.
 fn kind(sample: &PathSample) -> &'static str {
     let Some(kept) = &sample.reconnection else { return "replay to the end" };
     let light = matches!(sample.ending, Ending::Light { .. });
@@ -81,7 +81,7 @@ fn kind(sample: &PathSample) -> &'static str {
 fn shifts(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("shift");
     let stages = SCENES.map(stage);
-    // Each with the receiver that it is shifted to.
+    // Each sample stands with its own receiver and the one that it is shifted to.
     type Case<'w> = (&'static str, Connects, Vec<(PathSample, [PathReceiver<'w>; 2])>);
     let mut cases: Vec<Case<'_>> = Vec::new();
     for stage in &stages {
@@ -101,7 +101,7 @@ fn shifts(criterion: &mut Criterion) {
             cases[at].2.push((sample, [from, to]));
         }
     }
-    // Of each kind the scene with most of them.
+    // Each kind is measured in the scene that has most of it.
     cases.sort_by_key(|(_, _, samples)| std::cmp::Reverse(samples.len()));
     let mut done: Vec<&str> = Vec::new();
     for (name, connects, samples) in &cases {

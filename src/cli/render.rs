@@ -22,10 +22,9 @@ const CHUNK: u32 = 8;
 /// it
 ///
 /// The layer `color` is the picture; `emission` is the part of it that is seen directly; with
-/// --frames, layers `kept.…` are what the technique keeps of every pixel, such as the confidence of
-/// its reservoir. --frames
-/// shows frame N as a real-time technique would, after N-1 frames of history; --spp averages N
-/// complete estimates a pixel. Ctrl-C writes what is done.
+/// --frames, layers `kept.…` show what the technique keeps of every pixel, such as the confidence
+/// of its reservoir. --frames shows frame N as a real-time technique would, after N-1 frames of
+/// history; --spp averages N complete estimates a pixel. Ctrl-C writes what is done.
 #[derive(Args, Debug)]
 #[command(after_help = "\
 Examples:
@@ -72,7 +71,7 @@ struct Shown {
     picture: Picture,
     emission: Picture,
     guides: Guides,
-    /// What the technique keeps of every pixel.
+    /// Layers of what the technique keeps of every pixel.
     kept: Vec<(&'static str, Vec<f32>)>,
 }
 

@@ -100,8 +100,8 @@ pub(crate) trait StoredReservoir: Pod + Send + Sync {
     /// The same without its sample; its confidence stays.
     fn emptied(&self) -> Self;
 
-    /// What a sample is like at another receiver of its frame: all that [`Self::arrived`] does not
-    /// find in the record that it came from.
+    /// A slot keeps of a shift within a frame all that [`Self::arrived`] does not find in the
+    /// record that the sample came from.
     fn slot(shifted: &Shifted<Self::Sample, Vec3>) -> [f32; 4];
 
     /// The record's sample at the receiver of a slot; `None` where its shift is undefined.

@@ -126,7 +126,7 @@ struct Blocks {
     bits: u32,
     /// Where blocks begin.
     origin: [u32; 2],
-    /// What the blocks of a frame share.
+    /// All blocks of a frame share these numbers.
     key: [u32; 2],
 }
 

@@ -19,9 +19,9 @@ use crate::resampling::{
     Shifted, WithRadiance, WithVisibility, merge_history,
 };
 
-/// Side of the square in which duplicates are looked for, that of *ReSTIR PT Enhanced* (2026), and
-/// how many of its pixels are looked at; the paper looks at all.
-const AROUND: u32 = 17;
+/// Side of the square in which duplicates are looked for: that of *ReSTIR PT Enhanced* (2026).
+pub(super) const AROUND: u32 = 17;
+/// Number of pixels of the square that are looked at; the paper looks at all.
 const LOOKS: u32 = 16;
 /// Round of their numbers, beside those of spatial rounds.
 const FIRST_LOOK: u32 = 64;
@@ -53,6 +53,7 @@ impl<S: Copy> ShiftMap for Same<S> {
 
 /// One chain of a pixel in this frame, and what it was in the previous one.
 struct Frames<'r, D: Domain> {
+    /// The most confidence that the history may have, in multiples of the canonical's.
     cap: f32,
     record: D::Record,
     receiver: &'r D::Receiver,
@@ -295,6 +296,7 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
         let [width, height] = self.domain.frame().shot.size;
         let mut random = self.stream(pixel, Purpose::Neighbours, FIRST_LOOK, chain);
         let mut near = |at: u32, size: u32| {
+            // Places beyond the picture's edge count as those at the edge.
             let at = (at + random.index(AROUND)).saturating_sub(AROUND / 2);
             at.min(size - 1)
         };

@@ -61,9 +61,8 @@ pub trait Technique: fmt::Debug + Send + Sync {
         Vec::new()
     }
 
-    /// What the technique's buffers say of every pixel of a frame, as pictures of one number a
-    /// pixel by name: what `render` adds to its file. `buffer` gives the words of a buffer of the
-    /// plan.
+    /// Returns pictures of one number a pixel, by name, of what the technique's buffers hold;
+    /// `render` adds them to its file. `buffer` gives the words of a buffer of the plan.
     fn layers<'f>(
         &self,
         _plan: &Plan,

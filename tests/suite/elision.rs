@@ -483,9 +483,9 @@ fn restless(place: Affine3A) -> Transform {
     Transform::Chain(vec![Track::Trs { translation, rotation, scale }])
 }
 
-/// What lies behind a path's connection is traced again only where lights or geometry may move, and
-/// the roughness of lobes is asked for only where some lobe has one: the pictures are the same to
-/// the bit. The controls, a camera or a wall that stands elsewhere, are others.
+/// Plans leave out to trace again behind a path's connection where neither lights nor geometry may
+/// move, and to ask for the roughness of lobes where none has one; the pictures are the same to the
+/// bit. The control, a scene of other materials, is another picture.
 #[test]
 fn paths_take_what_the_scene_needs() {
     let again = "tracing paths again behind their connections";

@@ -4,10 +4,10 @@ use std::sync::Arc;
 
 use afterimage::frame::{FrameLoop, Stage};
 use afterimage::scene::Scene;
-use afterimage::techniques::parse;
+use afterimage::techniques::{Technique, parse};
 use glam::Vec3;
 
-use crate::support::{bits, look_at, shot};
+use crate::support::{bits, look_at, own_scenes, shot};
 use crate::union::{self, frames};
 
 /// Which pixels take from which, and from which history, does not depend on any sample: with lamps
@@ -84,4 +84,29 @@ fn paired_is_unpaired() {
         let paired = frames("restir-pt:taps=pairs", shot([25, 16], 5, 1), moving);
         assert_ne!(bits(&alone[0]), bits(&paired[0]));
     }
+}
+
+/// `duplicates` makes pixels nearby carry the same path less often, as the layer of what reservoirs
+/// keep counts them: in a room whose light few paths find.
+#[test]
+fn duplicates_grow_rare_where_history_counts_less() {
+    let scene = own_scenes().into_iter().find(|(name, _)| name == "slit").unwrap().1;
+    let stage = Stage::new(scene).unwrap();
+    let shot = shot([48, 27], 6, 1);
+    let shared = |keys: &str| -> f32 {
+        let technique = parse(&format!("restir-pt:cap=50,neighbours=3,radius=3{keys}"));
+        let technique: Arc<dyn Technique> = Arc::from(technique.unwrap());
+        let mut frames = FrameLoop::new(Arc::clone(&technique), &stage, shot).unwrap();
+        let plan = frames.plan().clone();
+        for _ in 0..20 {
+            frames.render().unwrap();
+        }
+        let frame = frames.render().unwrap();
+        let layers = technique.layers(&plan, shot.size, &|name| frame.buffer(name));
+        let found = layers.iter().find(|(name, _)| *name == "duplicates").unwrap();
+        found.1.iter().sum::<f32>() / found.1.len() as f32
+    };
+    let [off, half, full] = ["", ",duplicates=0.5", ",duplicates=1"].map(shared);
+    println!("shares {off}, {half}, {full}");
+    assert!(full < 0.9 * off && half < off, "{off}, {half}, {full}");
 }

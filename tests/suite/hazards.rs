@@ -66,6 +66,7 @@ fn h_history_is_used_once() {
 fn h_rare_lobes_and_textured_roughness() {
     let mut rare = rooms()[1].clone();
     let (grey, mirror) = (diffuse(&mut rare, 0.7), metal(&mut rare, 0.0));
+    // The chance of the rare lobe.
     let amount = afterimage::scene::Scalar::Constant(1e-6);
     let mix = rare.add_material(Material::Mix { first: grey, second: mirror, amount });
     for instance in [0, 1, 2] {

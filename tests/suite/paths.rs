@@ -94,9 +94,8 @@ fn the_tree_sums_to_nee() {
     }
 }
 
-/// Without reuse the technique is `nee`, whose walks it takes: to the bit where the selected path
-/// is not asked for but all of them, but for the rounding of estimates that are kept in 8 bytes.
-/// The control, other numbers, is another picture.
+/// Without reuse the technique shows the sum of its walks, which is `nee` of the same seeds, up to
+/// the rounding of estimates to 15 bits. The control, other numbers, is another picture.
 #[test]
 fn without_reuse_it_is_nee() {
     let stage = Stage::new(rooms()[1].clone()).unwrap();

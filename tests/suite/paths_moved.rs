@@ -6,7 +6,7 @@ use afterimage::accel::AcceptAll;
 use afterimage::counters::Counters;
 use afterimage::frame::{FrameLoop, Stage};
 use afterimage::math::rng::{Stream, path_seed};
-use afterimage::plan::Shot;
+use afterimage::plan::{Filter, Shot};
 use afterimage::resampling::{Family, ShiftMap, Shifted};
 use afterimage::reuse::light_points::Time;
 use afterimage::reuse::paths::{Anchor, Failure, PathReceiver, PathSample, PathShift};
@@ -236,17 +236,24 @@ fn paths_are_unbiased_while_anything_moves() {
     };
     let near = "neighbours=2,radius=4,taps=random";
     let tree = "direct=tree,shade=selected,trees=2";
-    type Row<'a> = (&'a str, fn(&mut Scene, u32), &'a [&'a str]);
-    let plan: [Row<'_>; 4] = [
-        ("camera", camera, &[near, tree]),
-        ("lamps", lamps, &["neighbours=0"]),
-        ("surfaces", surfaces, &["neighbours=0,direct=tree,shade=selected"]),
-        ("all", all, &["", near, tree, "shade=decoupled,mis=balance,shift=reconnection"]),
+    let separate = "direct=separate,taps=pairs,neighbours=2,radius=4";
+    type Row<'a> = (&'a str, fn(&mut Scene, u32), Filter, &'a [&'a str]);
+    let plan: [Row<'_>; 5] = [
+        ("camera", camera, Filter::Point, &[near, tree]),
+        ("camera, box", camera, Filter::Box, &["", separate]),
+        ("lamps", lamps, Filter::Point, &["neighbours=0"]),
+        ("surfaces", surfaces, Filter::Point, &["neighbours=0,direct=tree,shade=selected"]),
+        (
+            "all",
+            all,
+            Filter::Point,
+            &["", near, tree, "shade=decoupled,mis=balance,shift=reconnection"],
+        ),
     ];
     const DELTA: f64 = 0.03;
-    for (name, at, specs) in plan {
+    for (name, at, filter, specs) in plan {
         let course = Course { base: rooms()[2].clone(), at };
-        let shot = shot([18, 12], 4, 1);
+        let shot = Shot { filter, ..shot([18, 12], 4, 1) };
         let stage = course.stage();
         let looks: Vec<Look> = [1, 3].iter().flat_map(|age| halves(&course, shot, *age)).collect();
         for keys in specs {

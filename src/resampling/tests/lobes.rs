@@ -102,6 +102,7 @@ where
 fn f_has_totals_and_the_jacobian_joint_densities() {
     let even: Receiver = ([1.0, 2.0, 4.0], [0.5, 0.5], [[0.7, 0.2, 0.1], [0.1, 0.1, 0.8]]);
     let uneven: Receiver = ([3.0, 1.0, 2.0], [0.9, 0.1], [[0.2, 0.5, 0.3], [0.0, 0.4, 0.6]]);
+    // A lobe that is chosen once in a million times.
     let rare: Receiver =
         ([2.0, 0.5, 1.0], [1e-6, 1.0 - 1e-6], [[0.5, 0.25, 0.25], [0.3, 0.3, 0.4]]);
     for receivers in [vec![even, uneven], vec![uneven, even], vec![rare, even, uneven]] {

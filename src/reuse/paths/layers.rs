@@ -1,10 +1,8 @@
-//! What the reservoirs of paths hold, as pictures.
+//! Pictures of what the reservoirs of paths hold.
 
 use super::PathRecord;
 use crate::resampling::Finished;
-
-/// Side of the square in which duplicates are counted (*ReSTIR PT Enhanced*, 2026).
-const AROUND: i64 = 17;
+use crate::reuse::temporal::AROUND;
 
 /// The reservoirs of a picture.
 pub(crate) struct Kept<'a> {
@@ -28,7 +26,7 @@ pub(crate) struct Kept<'a> {
 /// | `confidence` | c |
 /// | `age` | frames since the sample was fresh |
 /// | `duplicates` | share of the 288 pixels around, as far as they are in the picture, with the same sample |
-/// | `failure` | why the first shift of the frame that is undefined is: a place in [`super::Failure::ALL`] from 1 on; 0: all are defined |
+/// | `failure` | the reason of the first shift that is undefined ([`super::Failure::number`]); 0: none is |
 /// | `acceptance` | share of the frame's shifts to neighbours that are defined; 0 without one |
 pub(crate) fn layers(kept: &Kept<'_>) -> Vec<(&'static str, Vec<f32>)> {
     let pixels = kept.size[0] as usize * kept.size[1] as usize;
@@ -79,7 +77,8 @@ impl Kept<'_> {
     fn duplicates(&self, pixel: usize) -> f32 {
         let [width, height] = self.size.map(i64::from);
         let (x, y) = (pixel as i64 % width, pixel as i64 / width);
-        let near = |at: i64, size: i64| (at - AROUND / 2).max(0)..(at + AROUND / 2 + 1).min(size);
+        let reach = i64::from(AROUND / 2);
+        let near = |at: i64, size: i64| (at - reach).max(0)..(at + reach + 1).min(size);
         let (mut same, mut all) = (0_u32, 0_u32);
         for row in near(y, height) {
             for other in near(x, width).map(|column| (row * width + column) as usize) {

@@ -14,7 +14,11 @@
 //! What lies behind a path's reconnection vertex is traced again in the other frame where lights or
 //! geometry move, and copied where only the camera does.
 
+mod parameters;
 mod rungs;
+
+use parameters::rows;
+pub use parameters::{Direct, Preset, Shade};
 
 use crate::accel::HitFilter;
 use crate::counters::Counters;
@@ -24,14 +28,13 @@ use crate::path::Limits;
 use crate::plan::{BufferPlan, Builder, Claim, Plan, SceneFacts, Shot};
 use crate::resampling::{ControlVariate, Decoupled, Estimator, Merges, Selected};
 use crate::reuse::light_points::{LightPoints, LightTiles, Supply};
-use crate::reuse::parameters::reuse_rows;
 use crate::reuse::passes::{self, Initial, Keys, Place, kernel as reuse_kernel};
 use crate::reuse::paths::{
     self, Connects, Fresh, Kept, MOST_SEGMENTS, PathRecord, Paths, Predicate, ShiftKind,
 };
 use crate::reuse::policy::{InTarget, InTargetControl, Policy};
 use crate::reuse::{Reuse, Settings};
-use crate::spec::{self, Choice, Field, Row, row};
+use crate::spec::{self, Choice};
 use crate::techniques::{Entry, Technique};
 use crate::world::WithFilter;
 
@@ -46,192 +49,9 @@ const PARTS: &str = "parts of the light with reservoirs of their own";
 /// Whether what lies behind a connection is traced again in another frame.
 const RETRACES: &str = "paths are traced again behind their connections";
 
-/// Where direct light comes from: light that comes straight to the primary hit and leaves it by a
-/// lobe that is not a delta.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Direct {
-    /// From candidates as in `restir-di`, in the same reservoir as all other paths.
-    #[default]
-    Union,
-    /// From the walks.
-    Tree,
-    /// From candidates as in `restir-di`, in a reservoir of its own beside that of all other paths
-    /// (Lin et al. 2022): less noise, for twice the memory and reuse.
-    Separate,
-}
-
-impl Choice for Direct {
-    const ALL: &'static [Self] = &[Self::Union, Self::Tree, Self::Separate];
-
-    fn name(self) -> &'static str {
-        match self {
-            Self::Union => "union",
-            Self::Tree => "tree",
-            Self::Separate => "separate",
-        }
-    }
-}
-
-/// What is shown of a pixel, with m, F, W and \|∂T\| those of the inputs of its last merge.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Shade {
-    /// F W of the path that was selected.
-    Selected,
-    /// Σ m F W \|∂T\|: all of them, with less noise in colour.
-    Decoupled,
-    /// C̄ = Σ m F W \|∂T\| + a (C̄ − F̃): all of them correct an estimate that is kept beside the
-    /// reservoir, with F̃ = F W of the sample that C̄ was kept with and a the history's share of
-    /// confidence; it begins with all light of the pixel's own walks (Tokuyoshi 2024, whose
-    /// estimator is for visibility).
-    #[default]
-    Control,
-}
-
-impl Choice for Shade {
-    const ALL: &'static [Self] = &[Self::Selected, Self::Decoupled, Self::Control];
-
-    fn name(self) -> &'static str {
-        match self {
-            Self::Selected => "selected",
-            Self::Decoupled => "decoupled",
-            Self::Control => "control",
-        }
-    }
-}
-
-/// Values of all parameters for a purpose.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Preset {
-    /// Frame by frame, unbiased: the default.
-    #[default]
-    Unbiased,
-    /// Single pictures: no history, 32 walks a pixel, three rounds of six neighbours at most ten
-    /// pixels away.
-    Offline,
-    /// Frame by frame with fewer bright blotches: history counts less where pixels carry the same
-    /// path, and the brightest reservoirs are dropped; biased.
-    Interactive,
-}
-
-impl Choice for Preset {
-    const ALL: &'static [Self] = &[Self::Unbiased, Self::Offline, Self::Interactive];
-
-    fn name(self) -> &'static str {
-        match self {
-            Self::Unbiased => "unbiased",
-            Self::Offline => "offline",
-            Self::Interactive => "interactive",
-        }
-    }
-}
-
-impl Preset {
-    /// The technique with these values.
-    #[must_use]
-    pub fn values(self) -> RestirPt {
-        let unbiased = RestirPt::default();
-        let reuse = unbiased.reuse;
-        match self {
-            Self::Unbiased => unbiased,
-            Self::Offline => {
-                let reuse = Settings { cap: 0, neighbours: 6, radius: 10.0, rounds: 3, ..reuse };
-                RestirPt { trees: 32, reuse, ..unbiased }
-            }
-            Self::Interactive => {
-                RestirPt { reuse: Settings { duplicates: 1.0, boiling: 0.2, ..reuse }, ..unbiased }
-            }
-        }
-    }
-}
-
 /// Numbers of the technique's own kernels; those of reuse are [`crate::reuse::passes::kernel`].
 mod kernel {
     pub(super) const TILES: u32 = 0;
-}
-
-fn rows() -> Vec<Row<RestirPt>> {
-    let mut rows = vec![
-        Row {
-            key: "preset",
-            about: "values to begin with, which other keys change: unbiased, in real time; for single pictures without history; biased, with fewer blotches in real time",
-            field: Field::Choice(
-                || Preset::ALL.iter().map(|preset| preset.name()).collect(),
-                // A SPEC says all that differs from the first.
-                |_| 0,
-                |technique, place| *technique = Preset::ALL[place].values(),
-            ),
-        },
-        row!(
-            RestirPt,
-            "trees",
-            trees: 1..=1024,
-            "walks a pixel and frame whose paths a reservoir chooses from; more is less noise for more time"
-        ),
-        row!(
-            RestirPt,
-            "roulette",
-            roulette_after: 0..=1000,
-            "scatterings before Russian roulette may end a walk"
-        ),
-        row!(
-            RestirPt,
-            "shift",
-            choice shift: ShiftKind,
-            "how paths are shifted: replay up to a connection, a connection at the primary hit or not at all, or replay alone"
-        ),
-        row!(
-            RestirPt,
-            "predicate",
-            choice predicate: Predicate,
-            "when vertices are far enough apart to be connected: from 1 % of the scene's diagonal on, or by what both directions cover of it"
-        ),
-        row!(
-            RestirPt,
-            "direct",
-            choice direct: Direct,
-            "direct light: from candidates as in restir-di, in the same reservoir as all other light, from the walks, or from candidates in a reservoir of its own (less noise, twice the memory)"
-        ),
-        row!(
-            RestirPt,
-            "candidates",
-            candidates: 1..=1024,
-            "unless direct=tree, light samples a pixel, frame and chain"
-        ),
-        row!(
-            RestirPt,
-            "bsdf",
-            bsdf: 0..=64,
-            "unless direct=tree, BSDF samples a pixel, frame and chain; a ray each"
-        ),
-        row!(
-            RestirPt,
-            "tiles",
-            choice tiles: LightTiles,
-            "unless direct=tree, light points made ahead in tiles that fit the cache"
-        ),
-        row!(
-            RestirPt,
-            "shared",
-            choice shared: bool,
-            "with taps=xor or pairs, whether a shift is made once for both pixels that ask for it; the picture is the same"
-        ),
-        row!(
-            RestirPt,
-            "shade",
-            choice shade: Shade,
-            "what is shown: the selected path, all inputs of the last merge, or an estimate that all of them correct, with the least noise in colour for 8 bytes"
-        ),
-    ];
-    rows.push(row!(
-        RestirPt,
-        "duplicates",
-        number reuse.duplicates: 0.0..=1.0,
-        "how much less history counts where pixels nearby carry the same path; 0 is off; biased"
-    ));
-    // Paths are not mutated, and `shade` says how they are shown.
-    let ours = |row: &Row<RestirPt>| !["mutations", "decoupled"].contains(&row.key);
-    rows.extend(reuse_rows!(RestirPt, reuse).into_iter().filter(ours));
-    rows
 }
 
 pub(super) const RESTIR_PT: Entry = Entry {
