@@ -45,6 +45,12 @@ pub trait Technique: fmt::Debug + Send + Sync {
     /// What will run for a scene, and what is left out.
     fn plan(&self, facts: &SceneFacts, shot: &Shot) -> Plan;
 
+    /// Whether single pixels may be below 0, as those of control variates: average or filter such
+    /// pictures before anything cuts them off at 0, which alone would make them too bright.
+    fn signed(&self) -> bool {
+        false
+    }
+
     /// Runs kernel number `kernel` over a band; one call a band, all per-ray choices are made
     /// inside it once.
     fn run(&self, kernel: u32, inputs: &FrameInputs<'_>, band: &mut Band<'_>) -> Counters;

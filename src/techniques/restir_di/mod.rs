@@ -375,6 +375,10 @@ impl Technique for RestirDi {
         Self::validate(self)
     }
 
+    fn signed(&self) -> bool {
+        self.reuse && self.visibility == Visibility::WisControlVariate
+    }
+
     fn plan(&self, facts: &SceneFacts, shot: &Shot) -> Plan {
         plan::plan(self, facts, shot)
     }

@@ -219,6 +219,10 @@ impl Technique for RestirPt {
         Self::validate(self)
     }
 
+    fn signed(&self) -> bool {
+        self.shade == Shade::Control
+    }
+
     fn plan(&self, facts: &SceneFacts, shot: &Shot) -> Plan {
         let mut plan = Builder::new(self.spec(), facts, shot);
         plan.primary_hits();

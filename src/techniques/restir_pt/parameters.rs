@@ -176,7 +176,7 @@ pub(super) fn rows() -> Vec<Row<RestirPt>> {
             RestirPt,
             "shade",
             choice shade: Shade,
-            "what is shown: the selected path, all inputs of the last merge, or an estimate that all of them correct, with the least noise in colour for 8 bytes"
+            "what is shown: the selected path, all inputs of the last merge, or an estimate that all of them correct, with the least noise in colour for 8 bytes; only that can be below 0 in a pixel"
         ),
     ];
     rows.push(row!(
