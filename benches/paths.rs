@@ -1,6 +1,8 @@
 //! Paths as samples, on one core: `shift/KIND`, a shift to a neighbour by what it connects to;
 //! `tree/SCENE`, a walk whose paths are all candidates, against `walk/SCENE`, the same walk that
-//! only sums; `merge/FAMILY/K`, merges of a pixel's path with those of K neighbours.
+//! only sums; `merge/FAMILY/K`, merges of a pixel's path with those of K neighbours;
+//! `mutation/KIND/N`, the begin of a chain and N steps by what follows the vertex that moves, and
+//! `rays/KIND`, the bounce of such a step with its shadow ray.
 
 use std::hint::black_box;
 use std::path::Path;
@@ -10,15 +12,18 @@ use afterimage::counters::Counters;
 use afterimage::frame::Stage;
 use afterimage::math::rng::{Stream, path_seed};
 use afterimage::path::{Limits, Steps, sampled, scattered_radiance, walk};
-use afterimage::resampling::{Family, Finished, Input, Plain, PrimarySample, Reservoir, merge};
+use afterimage::resampling::{
+    Family, Finished, Input, Kelemen, Plain, PrimarySample, Reservoir, merge, metropolis,
+};
 use afterimage::reuse::light_points::Time;
 use afterimage::reuse::paths::{
-    Anchor, Connects, Ending, NO_LOBE, PathReceiver, PathSample, PathShift, ShiftKind, Tree,
+    Anchor, Connects, Ending, NO_LOBE, PathMutator, PathReceiver, PathSample, PathShift, Place,
+    ShiftKind, Tree,
 };
 use afterimage::scene::load;
 use afterimage::world::World;
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use glam::Vec2;
+use glam::{Vec2, Vec3};
 
 const SIZE: [u32; 2] = [64, 64];
 const SCENES: [&str; 4] = ["cornell", "slit", "glass", "plates"];
@@ -46,14 +51,14 @@ fn receivers(world: &World) -> Vec<PathReceiver<'_>> {
 const LIMITS: Limits = Limits { depth: 8, roulette_after: 5 };
 
 /// The path of one walk.
-fn drawn(
+fn drawn<const MUTABLE: bool>(
     at: &PathReceiver<'_>,
     connects: Connects,
     seed: u64,
     random: &mut Stream,
 ) -> Finished<PathSample, PrimarySample> {
     let mut reservoir = Plain::default();
-    let mut tree = Tree::new(at.world, connects, (seed, 1), &mut reservoir, random);
+    let mut tree = Tree::<_, MUTABLE>::new(at.world, connects, (seed, 1), &mut reservoir, random);
     let steps = Steps::<{ sampled::ONE }, _> { world: at.world, filter: &AcceptAll };
     let primary = (at.direction, &at.hit);
     walk::<_, true, _>(&steps, seed, primary, LIMITS, &mut tree, &mut Counters::default());
@@ -90,7 +95,8 @@ fn shifts(criterion: &mut Criterion) {
         let connects = Connects::of_diagonal(stage.facts().diagonal);
         for (pixel, pair) in all.windows(2).enumerate() {
             let [from, to] = [pair[0], pair[1]];
-            let sample = drawn(&from, connects, path_seed(1, pixel as u32, 0, 0), &mut random);
+            let sample =
+                drawn::<false>(&from, connects, path_seed(1, pixel as u32, 0, 0), &mut random);
             let Some(sample) = sample.sample else { continue };
             let name = kind(&sample);
             let known = cases.iter().position(|(known, one, _)| *known == name && *one == connects);
@@ -137,7 +143,7 @@ fn trees(criterion: &mut Criterion) {
             let mut random = Stream::from_key(4);
             bencher.iter(|| {
                 for (pixel, at) in all.iter().enumerate() {
-                    black_box(drawn(at, connects, seed(pixel), &mut random));
+                    black_box(drawn::<false>(at, connects, seed(pixel), &mut random));
                 }
             });
         });
@@ -170,7 +176,10 @@ fn merges(criterion: &mut Criterion) {
     let connects = Connects::new(0.01 * stage.facts().diagonal, ShiftKind::Hybrid);
     let mut random = Stream::from_key(5);
     let finished: Vec<_> = (0..all.len())
-        .map(|pixel| drawn(&all[pixel], connects, path_seed(6, pixel as u32, 0, 0), &mut random))
+        .map(|pixel| {
+            let seed = path_seed(6, pixel as u32, 0, 0);
+            drawn::<false>(&all[pixel], connects, seed, &mut random)
+        })
         .collect();
     let input = |at: usize| Input {
         finished: finished[at],
@@ -202,5 +211,114 @@ fn merges(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, shifts, trees, merges);
+/// Names what follows the vertex that a mutation moves.
+fn follows(sample: &PathSample) -> Option<&'static str> {
+    let kept = sample.reconnection?;
+    Some(match (kept.anchor, kept.next.place()) {
+        (Anchor::Point(_), _) => "a light point",
+        (Anchor::Sky { .. }, _) => "a sky",
+        (Anchor::Surface(_), _) if kept.vertex > sample.last => "an emitter",
+        (Anchor::Surface(_), None) => return None,
+        (Anchor::Surface(_), Some(Place::Light(_))) => "before a light sample",
+        (Anchor::Surface(_), _) if kept.vertex == sample.last => "before an emitter or a sky",
+        (Anchor::Surface(_), _) if kept.next.lobe() == NO_LOBE => {
+            "before a vertex that samples a light"
+        }
+        (Anchor::Surface(_), _) => "before a vertex",
+    })
+}
+
+fn mutations(criterion: &mut Criterion) {
+    let stages = SCENES.map(stage);
+    type Case<'w> = (&'static str, Connects, Vec<(PathSample, PathReceiver<'w>)>);
+    let mut cases: Vec<Case<'_>> = Vec::new();
+    for stage in &stages {
+        let mut random = Stream::from_key(7);
+        let connects = Connects::of_diagonal(stage.facts().diagonal);
+        for (pixel, at) in receivers(stage.first_world()).into_iter().enumerate() {
+            let seed = path_seed(7, pixel as u32, 0, 0);
+            let sample = drawn::<true>(&at, connects, seed, &mut random).sample;
+            let Some(sample) = sample.filter(|s| s.reconnection.is_some_and(|k| k.vertex == 1))
+            else {
+                continue;
+            };
+            let Some(name) = follows(&sample) else { continue };
+            let known = cases.iter().position(|(known, one, _)| *known == name && *one == connects);
+            let place = known.unwrap_or_else(|| {
+                cases.push((name, connects, Vec::new()));
+                cases.len() - 1
+            });
+            cases[place].2.push((sample, at));
+        }
+    }
+    // Each kind is measured in the scene that has most of it.
+    cases.sort_by_key(|(_, _, samples)| std::cmp::Reverse(samples.len()));
+    let mut done: Vec<&str> = Vec::new();
+    for (name, connects, samples) in &cases {
+        if done.contains(name) || samples.len() < 50 {
+            continue;
+        }
+        done.push(name);
+        let samples = &samples[..samples.len().min(500)];
+        let mut group = criterion.benchmark_group("mutation");
+        group.throughput(Throughput::Elements(samples.len() as u64)).sample_size(20);
+        for steps in [0, 1, 5] {
+            group.bench_function(format!("{name}/{steps}"), |bencher| {
+                let mut shift = PathShift::new(&AcceptAll, *connects, None);
+                let mut random = Stream::from_key(8);
+                bencher.iter(|| {
+                    for (sample, at) in samples {
+                        let begun = PathMutator::<_, Kelemen>::new(&mut shift, at, sample);
+                        black_box(begun.map(|(mut mutator, state)| {
+                            metropolis(&mut mutator, state, steps, &mut random).accepted
+                        }));
+                    }
+                });
+            });
+        }
+        group.finish();
+        // The same rays without all else: to the vertex, and from it to a point above.
+        let mut group = criterion.benchmark_group("rays");
+        group.throughput(Throughput::Elements(samples.len() as u64)).sample_size(20);
+        let rays: Vec<[Ray; 2]> = samples
+            .iter()
+            .filter_map(|(sample, at)| {
+                let world = at.world;
+                let kept = sample.reconnection?;
+                let from = world.surface(&at.hit).position;
+                let to = match kept.anchor {
+                    Anchor::Surface(hit) => world.accel.point(&hit).position,
+                    Anchor::Sky { .. } => from + kept.direction,
+                    Anchor::Point(point) => {
+                        let emitter = world.lights.emitter(&world.scene, point)?;
+                        from + emitter.towards(&world.lights, from)?.direction
+                    }
+                };
+                let there = match kept.next.place() {
+                    Some(Place::Surface(hit)) => world.accel.point(&hit).position,
+                    _ => to + kept.direction,
+                };
+                let ray = |origin: Vec3, end: Vec3, t_max| Ray {
+                    origin: origin + 1e-3 * (end - origin),
+                    direction: (end - origin).normalize_or(Vec3::Y),
+                    t_max,
+                };
+                let length = 0.998 * there.distance(to);
+                Some([ray(from, to, f32::INFINITY), ray(to, there, length)])
+            })
+            .collect();
+        let world = samples[0].1.world;
+        group.bench_function(*name, |bencher| {
+            bencher.iter(|| {
+                for [first, second] in &rays {
+                    black_box(world.closest_hit(black_box(first)));
+                    black_box(world.accel.occluded(black_box(second), &AcceptAll));
+                }
+            });
+        });
+        group.finish();
+    }
+}
+
+criterion_group!(benches, shifts, trees, merges, mutations);
 criterion_main!(benches);

@@ -87,7 +87,9 @@ pub use estimate::{
 };
 pub use merge::{Input, Merged, OtherInputs, Term, merge, merge_history};
 pub use mis::Family;
-pub use mutate::{Chain, Mutator, Proposal, metropolis, mutated_weight};
+pub use mutate::{
+    Chain, Gaussian, Kelemen, Mutator, Proposal, SmallStep, metropolis, mutated_weight,
+};
 pub use reservoir::{
     ContributionWeight, Counting, Finished, Measure, Plain, PrimarySample, Reservoir, WithRadiance,
     WithVisibility,

@@ -5,6 +5,10 @@
 //! then Y ~ K(X, ·) has W′ = W p̂(X) / p̂(Y): E[f(Y) W′] = ∫ f. X need not be distributed like p̂,
 //! and p̂(Y) W′ = p̂(X) W: the pixel's own luminance estimate never changes.
 
+use std::f32::consts::TAU;
+
+use glam::Vec2;
+
 use crate::math::rng::RandomSource;
 
 /// A state that a chain might move to.
@@ -81,4 +85,52 @@ pub fn metropolis<M: Mutator>(
 pub fn mutated_weight(weight: f32, target_before: f32, target_after: f32) -> f32 {
     let mutated = weight * (target_before / target_after);
     if mutated.is_finite() { mutated } else { 0.0 }
+}
+
+/// A symmetric step of two numbers on the torus: every step is as likely as its reverse.
+pub trait SmallStep {
+    /// Where it leads, in [0, 1)².
+    fn step(u: Vec2, random: &mut impl RandomSource) -> Vec2;
+}
+
+/// |Δ| of each number between 1/1024 and 1/64, log-uniform (Kelemen et al. 2002, with the bounds of
+/// common implementations of primary-sample-space MLT).
+#[derive(Clone, Copy, Debug)]
+pub struct Kelemen;
+
+/// Normal steps of standard deviation 1/64, the largest step of [`Kelemen`]'s.
+#[derive(Clone, Copy, Debug)]
+pub struct Gaussian;
+
+const LARGEST: f32 = 1.0 / 64.0;
+/// ln 16, of the ratio of Kelemen's bounds.
+const LOG_RATIO: f32 = 2.772_588_7;
+
+#[inline]
+fn wrap(u: f32) -> f32 {
+    let wrapped = u - u.floor();
+    // Just below 0 it may round to 1.
+    if wrapped < 1.0 { wrapped } else { 0.0 }
+}
+
+impl SmallStep for Kelemen {
+    #[inline]
+    fn step(u: Vec2, random: &mut impl RandomSource) -> Vec2 {
+        let mut moved = |u: f32| {
+            let step = LARGEST * (-LOG_RATIO * random.uniform()).exp();
+            wrap(if random.choose(1.0, 2.0) { u + step } else { u - step })
+        };
+        let x = moved(u.x);
+        Vec2::new(x, moved(u.y))
+    }
+}
+
+impl SmallStep for Gaussian {
+    #[inline]
+    fn step(u: Vec2, random: &mut impl RandomSource) -> Vec2 {
+        // Box and Muller (1958); 1 − u is in (0, 1].
+        let radius = LARGEST * (-2.0 * (1.0 - random.uniform()).ln()).sqrt();
+        let (sin, cos) = (TAU * random.uniform()).sin_cos();
+        Vec2::new(wrap(u.x + radius * cos), wrap(u.y + radius * sin))
+    }
 }

@@ -50,7 +50,7 @@ use glam::Vec3;
 
 pub(crate) use boiling::limit as boiling_limit;
 pub use control::Control;
-pub use parameters::{MAX_NEIGHBOURS, Settings, SpatialUse, Taps};
+pub use parameters::{Kernel, MAX_NEIGHBOURS, Settings, SpatialUse, Taps};
 pub use policy::{REUSE_AGE, REUSE_DISTANCE, Reused, Visibility};
 pub use twin::{CONTROL_WGSL, STORED_WGSL, WIS_WGSL};
 

@@ -3,9 +3,9 @@
 
 use super::passes::{self, Keys};
 use super::policy::Policy;
-use super::{Control, Domain, Mutated, Reuse, StoredReservoir};
+use super::{Control, Domain, Mutated, Reuse, Settings, StoredReservoir};
 use crate::counters::Counters;
-use crate::math::rng::Purpose;
+use crate::math::rng::{Purpose, RandomSource};
 use crate::pass::{Band, PrimaryHit};
 use crate::plan::Plan;
 use crate::resampling::{ContributionWeight, Finished, mutated_weight};
@@ -29,9 +29,13 @@ impl<D: Domain, P: Policy> Reuse<'_, D, P> {
                 else {
                     continue;
                 };
-                let receiver = receiver.get_or_insert_with(|| self.domain.receiver(hit, pixel));
                 let mut random = self.stream(pixel, Purpose::Mutation, 0, chain);
-                let steps = self.settings.mutations;
+                let Settings { mutations: steps, mutate_share, .. } = self.settings;
+                // Not asked of the sample: that would be biased.
+                if mutate_share < 1.0 && !random.choose(mutate_share, 1.0) {
+                    continue;
+                }
+                let receiver = receiver.get_or_insert_with(|| self.domain.receiver(hit, pixel));
                 let mutated =
                     self.domain.mutated(receiver, sample, steps, &mut random, &mut counters);
                 let Some(Mutated { sample, target_before, target }) = mutated else { continue };

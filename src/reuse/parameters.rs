@@ -54,6 +54,27 @@ impl Choice for SpatialUse {
     }
 }
 
+/// How a mutation of a path steps.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Kernel {
+    /// Log-uniform between 1/1024 and 1/64 ([`crate::resampling::Kelemen`]).
+    #[default]
+    Kelemen,
+    /// Normal, of standard deviation 1/64 ([`crate::resampling::Gaussian`]).
+    Gaussian,
+}
+
+impl Choice for Kernel {
+    const ALL: &'static [Self] = &[Self::Kelemen, Self::Gaussian];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Kelemen => "kelemen",
+            Self::Gaussian => "gaussian",
+        }
+    }
+}
+
 /// Parameters of temporal and spatial reuse, mutations and the boiling filter.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
@@ -81,6 +102,10 @@ pub struct Settings {
     pub decoupled: bool,
     /// Mutations between temporal and spatial reuse, in [0, 64].
     pub mutations: u32,
+    /// How they step. Only for paths.
+    pub kernel: Kernel,
+    /// Share of the reservoirs that are mutated in a frame, in (0, 1]. Only for paths.
+    pub mutate_share: f32,
     /// Strength in [0, 1] of the boiling filter; 0 is off.
     pub boiling: f32,
     /// Frames after which a sample is dropped, in [0, 255]; 0 is never.
@@ -104,6 +129,8 @@ impl Default for Settings {
             mature: 8,
             decoupled: false,
             mutations: 0,
+            kernel: Kernel::Kelemen,
+            mutate_share: 1.0,
             boiling: 0.0,
             max_age: 0,
             duplicates: 0.0,

@@ -292,8 +292,14 @@ pub(crate) fn add<R: StoredReservoir, P: Policy>(
         plan.pass(NewPass { domain, ..NewPass::pixels("boiling", kernel::BOILING, writes) });
     }
     if settings.mutations > 0 {
-        let rays = u64::from(settings.mutations) * count(P::IN_TARGET) + count(P::KEEPS_OUTCOME);
-        plan.pass(NewPass::pixels("mutate", kernel::MUTATE, in_place).rays(0, rays, 0));
+        let steps = u64::from(settings.mutations);
+        let rays = steps * count(P::IN_TARGET) + count(P::KEEPS_OUTCOME);
+        // One replay, of all but the last bounce of a shift, and a bounce a step.
+        let bounces = match initial.shift_bounces {
+            0 => 0,
+            bounces => (steps + bounces - 1) * chains,
+        };
+        plan.pass(NewPass::pixels("mutate", kernel::MUTATE, in_place).rays(bounces, rays, 0));
     }
     if settings.neighbours == 0 {
         plan.skip("spatial reuse", "no neighbours are asked for");

@@ -31,6 +31,7 @@ mod outside;
 mod paths;
 mod paths_exact;
 mod paths_moved;
+mod paths_mutated;
 #[cfg(feature = "cli")]
 mod peer;
 mod planted;

@@ -75,7 +75,8 @@ fn the_tree_sums_to_nee() {
                 let mut reservoir = Plain::default();
                 let connects = Connects::of_diagonal(4.0);
                 let how = (seed, 1);
-                let mut tree = Tree::new(world, connects, how, &mut reservoir, &mut random);
+                let mut tree =
+                    Tree::<_, false>::new(world, connects, how, &mut reservoir, &mut random);
                 let steps = Steps::<{ sampled::ONE }, _> { world, filter: &AcceptAll };
                 walk::<_, true, _>(&steps, seed, primary, limits, &mut tree, &mut counters[1]);
                 assert_eq!(
@@ -133,7 +134,7 @@ fn replay_gives_the_path_again() {
         for (pixel, at) in receivers(world).iter().enumerate() {
             for walk in 0..4 {
                 let seed = path_seed(22, pixel as u32, 0, walk);
-                let drawn = drawn_by(world, at, seed, &mut random, connects);
+                let drawn = drawn_by::<false>(world, at, seed, &mut random, connects);
                 let Some(sample) = drawn.sample else { continue };
                 let again = shift.try_shift(&sample, at, at);
                 let Ok(Shifted { sample: again, jacobian, .. }) = again else {
@@ -174,7 +175,8 @@ fn reconnections_are_of_the_path_they_belong_to() {
             let limits = Limits { depth: 9, roulette_after: 5 };
             let mut reservoir = Plain::default();
             let connects = Connects::of_diagonal(4.0);
-            let mut tree = Tree::new(world, connects, (seed, 1), &mut reservoir, &mut random);
+            let mut tree =
+                Tree::<_, false>::new(world, connects, (seed, 1), &mut reservoir, &mut random);
             let steps = Steps::<{ sampled::ONE }, _> { world, filter: &AcceptAll };
             walk::<_, true, _>(&steps, seed, primary, limits, &mut tree, &mut Counters::default());
             let Some(sample): Option<PathSample> = reservoir.selected() else { return };
@@ -234,11 +236,11 @@ pub(crate) fn drawn(
     seed: u64,
     random: &mut Stream,
 ) -> Finished<PathSample, PrimarySample> {
-    drawn_by(world, receiver, seed, random, CONNECTS)
+    drawn_by::<false>(world, receiver, seed, random, CONNECTS)
 }
 
-/// The same, by a rule of one's own.
-pub(crate) fn drawn_by(
+/// The same, by a rule of one's own, and with what mutations need if they are to come.
+pub(crate) fn drawn_by<const MUTABLE: bool>(
     world: &World,
     receiver: &PathReceiver<'_>,
     seed: u64,
@@ -246,7 +248,7 @@ pub(crate) fn drawn_by(
     connects: Connects,
 ) -> Finished<PathSample, PrimarySample> {
     let mut reservoir = Plain::default();
-    let mut tree = Tree::new(world, connects, (seed, 1), &mut reservoir, random);
+    let mut tree = Tree::<_, MUTABLE>::new(world, connects, (seed, 1), &mut reservoir, random);
     let steps = Steps::<{ sampled::ONE }, _> { world, filter: &AcceptAll };
     let primary = (receiver.direction, &receiver.hit);
     let limits = Limits { depth: 7, roulette_after: 5 };
@@ -263,7 +265,7 @@ pub(crate) const CONNECTS: Connects = Connects {
 };
 
 /// The receivers of all pixels that see a surface which scatters.
-fn receivers(world: &World) -> Vec<PathReceiver<'_>> {
+pub(crate) fn receivers(world: &World) -> Vec<PathReceiver<'_>> {
     receivers_at(world, Time::Now)
 }
 
@@ -395,6 +397,10 @@ impl<'a> ShiftMap for Bugged<'a> {
     fn stratum(&self, _: &PathSample) {}
 }
 
+/// How a receiver draws a path, with W.
+pub(crate) type Draw =
+    fn(&World, &PathReceiver<'_>, u64, &mut Stream) -> Finished<PathSample, PrimarySample>;
+
 /// Mean luminance of receivers that merge the paths of others, the i-th that of number i, into
 /// their own, minus what the path tracer shows of their own: its t statistic over seeds, and the
 /// relative difference.
@@ -403,16 +409,17 @@ pub(crate) fn merged_against_traced<'a>(
     (own, others): (&[PathReceiver<'a>], &[PathReceiver<'a>]),
     family: Family,
     runs: u64,
+    draw: Draw,
 ) -> (f64, f64) {
     let mut random = Stream::from_key(10);
     let (mut differences, mut means) = (Moments::default(), Moments::default());
     for run in 0..runs {
         let (mut difference, mut mean) = (0.0, 0.0);
         for (at, (here, there)) in (0..).zip(own.iter().zip(others)) {
-            let mut draw = |at: u32, receiver: &PathReceiver<'_>| {
-                drawn(receiver.world, receiver, path_seed(run, at, 0, 0), &mut random)
+            let mut fresh = |at: u32, receiver: &PathReceiver<'_>| {
+                draw(receiver.world, receiver, path_seed(run, at, 0, 0), &mut random)
             };
-            let (fresh, other) = (draw(2 * at, here), draw(2 * at + 1, there));
+            let (fresh, other) = (fresh(2 * at, here), fresh(2 * at + 1, there));
             let canonical = input(fresh, here);
             let past = [input(other, there)];
             let mut reservoir = Plain::default();
@@ -456,7 +463,7 @@ fn merges_of_paths_are_unbiased() {
     let far: Vec<_> = (0..all.len()).step_by(7).map(|at| all[(at + 29) % all.len()]).collect();
     let run = |bug: fn(&mut Shifted<PathSample, Vec3>, &PathReceiver<'_>), family| {
         let mut shift = Bugged(PathShift::new(&AcceptAll, CONNECTS, None), bug);
-        merged_against_traced(&mut shift, (&some, &far), family, 2400)
+        merged_against_traced(&mut shift, (&some, &far), family, 2400, drawn)
     };
     for family in [Family::Balance, Family::DefensivePairwise] {
         let (t, bias) = run(|_, _| (), family);

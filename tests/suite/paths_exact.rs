@@ -29,7 +29,7 @@ use crate::support::{diffuse, environment, look_at, metal, polygon, room};
 const BALL: u32 = 4;
 
 /// Lambert surfaces at all angles, a lamp of two triangles, one that is a ball, and a sky.
-fn matt() -> Scene {
+pub(crate) fn matt() -> Scene {
     let mut scene = Scene::new("matt");
     let white = diffuse(&mut scene, 0.6);
     let c = |x: f32, y: f32, z: f32| Vec3::new(x, y, z);
@@ -301,7 +301,7 @@ fn no_shift_passes_a_pair_that_may_be_connected() {
 }
 
 /// A room whose floor and balls are mirrors or glass, so that many vertices are replayed.
-fn mirrors() -> Scene {
+pub(crate) fn mirrors() -> Scene {
     let mut scene = room();
     let (mirror, glossy) = (metal(&mut scene, 0.0), metal(&mut scene, 0.15));
     let roughness = Roughness::SMOOTH;
@@ -349,7 +349,7 @@ fn trips((kind, predicate): (ShiftKind, Predicate), samples: u32, to: usize) -> 
             let from = &all[number as usize % all.len()];
             let seed = path_seed(33, number, 0, 0);
             let Some(drawn) =
-                crate::paths::drawn_by(world, from, seed, &mut random, connects).sample
+                crate::paths::drawn_by::<false>(world, from, seed, &mut random, connects).sample
             else {
                 return [0, 0];
             };

@@ -16,7 +16,8 @@ use afterimage::world::Motion;
 use glam::{Affine3A, Quat, Vec3};
 
 use crate::course::{Course, Look, assert_unbiased};
-use crate::paths::{Bugged, CONNECTS, drawn, merged_against_traced, receivers_at, rooms};
+use crate::paths::{Bugged, CONNECTS, Draw, drawn, merged_against_traced, receivers_at, rooms};
+use crate::paths_mutated::drawn_and_moved;
 use crate::support::{light, look_at, shot};
 
 const SIZE: [u32; 2] = [24, 16];
@@ -77,22 +78,29 @@ fn pairs() -> Vec<(Scene, Scene)> {
         .collect()
 }
 
-/// Where nothing has moved, what is traced again is what was kept, to the bit.
+/// Where nothing has moved, what is traced again is what was kept, to the bit; of paths that were
+/// mutated, to rounding.
 #[test]
 fn what_is_traced_again_in_the_same_world_is_the_same() {
-    let (mut same, mut behind) = (0, 0);
-    for scene in rooms() {
+    let (mut same, mut behind, mut worst) = (0, 0, 0.0_f32);
+    for (scene, mutable) in
+        rooms().into_iter().flat_map(|scene| [(scene.clone(), false), (scene, true)])
+    {
+        let draw: Draw = if mutable { drawn_and_moved } else { drawn };
         let (before, now, motion) = frames(&scene, &scene);
         let [before, now] = [&before, &now].map(|stage| stage.first_world());
         let sources = receivers_at(before, Time::Before);
         let all = receivers_at(now, Time::Now);
         let mut random = Stream::from_key(21);
-        let make = |again| PathShift::new(&AcceptAll, CONNECTS, Some(&motion)).retracing(again);
+        let make = |again| {
+            let map = PathShift::new(&AcceptAll, CONNECTS, Some(&motion));
+            map.retracing(again).mutable(mutable)
+        };
         let [mut copies, mut traces] = [make(false), make(true)];
         for (pixel, from) in sources.iter().enumerate() {
             for walk in 0..16 {
                 let seed = path_seed(21, pixel as u32, 0, walk);
-                let Some(sample) = drawn(before, from, seed, &mut random).sample else { continue };
+                let Some(sample) = draw(before, from, seed, &mut random).sample else { continue };
                 let to = &all[(pixel + walk as usize % 3) % all.len()];
                 let [copied, traced] =
                     [&mut copies, &mut traces].map(|map| map.try_shift(&sample, from, to));
@@ -101,8 +109,15 @@ fn what_is_traced_again_in_the_same_world_is_the_same() {
                     assert_eq!(copied.is_err(), traced.is_err(), "{sample:?}");
                     continue;
                 };
-                assert_eq!(copied.sample, traced.sample);
-                assert_eq!(copied.jacobian.to_bits(), traced.jacobian.to_bits());
+                if mutable {
+                    // Directions that lead to a vertex again differ by rounding.
+                    let error = copied.integrand / traced.integrand - 1.0;
+                    worst = worst.max(error.abs().max_element());
+                    worst = worst.max((copied.jacobian / traced.jacobian - 1.0).abs());
+                } else {
+                    assert_eq!(copied.sample, traced.sample);
+                    assert_eq!(copied.jacobian.to_bits(), traced.jacobian.to_bits());
+                }
                 same += 1;
                 let kept = sample.reconnection;
                 behind += u32::from(kept.is_some_and(|kept| kept.vertex <= sample.last));
@@ -111,7 +126,9 @@ fn what_is_traced_again_in_the_same_world_is_the_same() {
         let rays = [copies, traces].map(|map| map.counters.bounce_rays);
         assert!(rays[1] > rays[0], "{rays:?}");
     }
-    assert!(same > 3000 && behind > 1000, "{same} shifts, {behind} with something behind");
+    println!("mutated paths: {worst:e}");
+    assert!(same > 6000 && behind > 2000, "{same} shifts, {behind} with something behind");
+    assert!(worst < 1e-3, "{worst}");
 }
 
 /// T and its inverse between the frames.
@@ -119,18 +136,21 @@ fn what_is_traced_again_in_the_same_world_is_the_same() {
 fn round_trips_between_frames() {
     let mut work = Counters::default();
     let (mut defined, mut lost, mut grown, mut worst) = (0, 0, 0, 0.0_f32);
-    for (before, now) in pairs() {
+    let pairs = pairs().into_iter().flat_map(|pair| [(pair.clone(), false), (pair, true)]);
+    for ((before, now), mutable) in pairs {
+        let draw: Draw = if mutable { drawn_and_moved } else { drawn };
         let (before, now, motion) = frames(&before, &now);
         let worlds = [&before, &now].map(|stage| stage.first_world());
         let times = [Time::Before, Time::Now];
         let all = [0, 1].map(|at| receivers_at(worlds[at], times[at]));
         let mut random = Stream::from_key(22);
-        let mut shift = PathShift::new(&AcceptAll, CONNECTS, Some(&motion)).retracing(true);
+        let mut shift =
+            PathShift::new(&AcceptAll, CONNECTS, Some(&motion)).retracing(true).mutable(mutable);
         for (source, there) in [(0, 1), (1, 0)] {
             for (pixel, from) in all[source].iter().enumerate() {
                 for walk in 0..24 {
                     let seed = path_seed(22, pixel as u32, 0, walk);
-                    let drawn = drawn(worlds[source], from, seed, &mut random);
+                    let drawn = draw(worlds[source], from, seed, &mut random);
                     let Some(sample) = drawn.sample else { continue };
                     let Ok(own) = shift.try_shift(&sample, from, from) else { continue };
                     let to =
@@ -144,9 +164,11 @@ fn round_trips_between_frames() {
                     };
                     let product = (back.jacobian * shifted.jacobian - 1.0).abs();
                     worst = worst.max(product);
-                    assert!(product < 1e-4, "{product}: {own:?} {shifted:?} {back:?}");
+                    // Of a mutated path a ray finds the next vertex again, to rounding.
+                    let exact = if mutable { 100.0 } else { 1.0 };
+                    assert!(product < 1e-4 * exact, "{product}: {own:?} {shifted:?} {back:?}");
                     let error = (back.integrand - own.integrand).abs().max_element();
-                    let most = own.integrand.max_element();
+                    let most = own.integrand.max_element() * exact;
                     assert!(error <= 1e-5 * most, "{own:?} {shifted:?} {back:?}");
                     grown += u32::from((shifted.jacobian - 1.0).abs() > 0.1);
                 }
@@ -171,20 +193,28 @@ fn merges_with_the_previous_frame_are_unbiased() {
     let wide = Affine3A::from_scale(Vec3::new(2.5, 1.0, 1.0));
     (0..=BACK_WALL).for_each(|wall| place(&mut stretched, wall, wide));
     type Bug = fn(&mut Shifted<PathSample, Vec3>, &PathReceiver<'_>);
-    let run = |before: &Scene, now: &Scene, again, bug: Bug| {
+    let run_with = |before: &Scene, now: &Scene, again, bug: Bug, draw: Draw, mutable| {
         let (before, now, motion) = frames(before, now);
-        let map = PathShift::new(&AcceptAll, CONNECTS, Some(&motion)).retracing(again);
+        let map = PathShift::new(&AcceptAll, CONNECTS, Some(&motion));
+        let map = map.retracing(again).mutable(mutable);
         let worlds = [&before, &now].map(|stage| stage.first_world());
         let here: Vec<_> = receivers_at(worlds[1], Time::Now).into_iter().step_by(7).collect();
         let there = receivers_at(worlds[0], Time::Before);
         // Nearby.
         let past: Vec<_> = (0..here.len()).map(|at| there[(7 * at + 1) % there.len()]).collect();
-        merged_against_traced(&mut Bugged(map, bug), (&here, &past), Family::Balance, 2400)
+        let both = (here.as_slice(), past.as_slice());
+        merged_against_traced(&mut Bugged(map, bug), both, Family::Balance, 2400, draw)
+    };
+    let run = |before: &Scene, now: &Scene, again, bug: Bug| {
+        run_with(before, now, again, bug, drawn, false)
     };
     for (name, other) in [("moved", &now), ("stretched", &stretched)] {
         let (t, bias) = run(&before, other, true, |_, _| ());
         println!("{name}: t {t:.2}, bias {:.3} %", 100.0 * bias);
         assert!(t.abs() < 4.5, "{name}: t {t}, bias {bias}");
+        let (t, bias) = run_with(&before, other, true, |_, _| (), drawn_and_moved, true);
+        println!("{name}, mutated: t {t:.2}, bias {:.3} %", 100.0 * bias);
+        assert!(t.abs() < 4.5, "{name}, mutated: t {t}, bias {bias}");
     }
     let (t, bias) = run(&before, &now, false, |_, _| ());
     println!("light of the other world: t {t:.2}, bias {:.3} %", 100.0 * bias);
@@ -237,17 +267,18 @@ fn paths_are_unbiased_while_anything_moves() {
     let near = "neighbours=2,radius=4,taps=random";
     let tree = "direct=tree,shade=selected,trees=2";
     let separate = "direct=separate,taps=pairs,neighbours=2,radius=4";
+    let mutated = "mutations=5,neighbours=2,radius=4";
     type Row<'a> = (&'a str, fn(&mut Scene, u32), Filter, &'a [&'a str]);
     let plan: [Row<'_>; 5] = [
         ("camera", camera, Filter::Point, &[near, tree]),
-        ("camera, box", camera, Filter::Box, &["", separate]),
+        ("camera, box", camera, Filter::Box, &["", separate, "mutations=1"]),
         ("lamps", lamps, Filter::Point, &["neighbours=0"]),
         ("surfaces", surfaces, Filter::Point, &["neighbours=0,direct=tree,shade=selected"]),
         (
             "all",
             all,
             Filter::Point,
-            &["", near, tree, "shade=decoupled,mis=balance,shift=reconnection"],
+            &["", near, tree, "shade=decoupled,mis=balance,shift=reconnection", mutated],
         ),
     ];
     const DELTA: f64 = 0.03;

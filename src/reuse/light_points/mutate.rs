@@ -2,9 +2,8 @@
 //!
 //! The chain's coordinates are the light and u, v on it, so the invariant density is p̂ times the
 //! measure of a unit of (u, v): the light's area, or 1 / density for environments. A small step
-//! moves u and v on the torus by Kelemen's kernel (Kelemen et al. 2002): |Δ| between 1/1024 and
-//! 1/64, log-uniform. A large step draws light and place anew, by power and uniformly, so its
-//! acceptance holds the ratio of the lights' probabilities.
+//! moves u and v on the torus by [`Kelemen`]'s kernel. A large step draws light and place anew, by
+//! power and uniformly, so its acceptance holds the ratio of the lights' probabilities.
 
 use glam::{Vec2, Vec3};
 
@@ -14,7 +13,7 @@ use crate::counters::Counters;
 use crate::light::LightPoint;
 use crate::math::luminance;
 use crate::math::rng::RandomSource;
-use crate::resampling::{Mutator, Proposal};
+use crate::resampling::{Kelemen, Mutator, Proposal, SmallStep};
 
 /// A chain's state: a light point at one receiver.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,20 +45,6 @@ pub struct LightPointMutator<'a, F, const IN_TARGET: bool> {
     pub large: f32,
     /// Work done.
     pub counters: Counters,
-}
-
-/// Bounds of a small step, and ln of their ratio (Kelemen et al. 2002, as in common implementations
-/// of primary-sample-space MLT).
-const LARGEST: f32 = 1.0 / 64.0;
-const LOG_RATIO: f32 = 2.772_588_7;
-
-/// One coordinate on the torus.
-fn perturb(u: f32, random: &mut impl RandomSource) -> f32 {
-    let step = LARGEST * (-LOG_RATIO * random.uniform()).exp();
-    let moved = if random.choose(1.0, 2.0) { u + step } else { u - step };
-    let wrapped = moved - moved.floor();
-    // u − step may round to 1 after wrapping.
-    if wrapped < 1.0 { wrapped } else { 0.0 }
 }
 
 impl<F: HitFilter, const IN_TARGET: bool> LightPointMutator<'_, F, IN_TARGET> {
@@ -109,8 +94,7 @@ impl<F: HitFilter, const IN_TARGET: bool> Mutator for LightPointMutator<'_, F, I
             let uv = Vec2::new(random.uniform(), random.uniform());
             lights.point_with(light, uv)
         } else {
-            let uv = Vec2::new(perturb(point.uv.x, random), perturb(point.uv.y, random));
-            lights.point_with(point.light, uv)
+            lights.point_with(point.light, Kelemen::step(point.uv, random))
         };
         if proposed == point {
             return None;

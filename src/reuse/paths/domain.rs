@@ -1,23 +1,28 @@
 //! Paths as a [`Domain`] of the passes of reuse, and their initial pass.
 
+use std::marker::PhantomData;
+
 use glam::Vec3;
 
-use super::{Connects, PathReceiver, PathRecord, PathSample, PathShift, Tree};
+use super::{Connects, PathMutator, PathReceiver, PathSample, PathShift, Records, Tree};
 use crate::accel::{Hit, HitFilter};
 use crate::counters::Counters;
 use crate::math::rng::{Purpose, RandomSource, Stream};
 use crate::pass::{Band, FrameInputs, Pixel, PrimaryHit};
 use crate::path::{Limits, Steps, finite_or_counted, sampled, walk};
 use crate::plan::Plan;
-use crate::resampling::{ContributionWeight, Finished, Plain, PrimarySample, Reservoir, Shifted};
+use crate::resampling::{
+    ContributionWeight, Finished, Gaussian, Kelemen, Plain, PrimarySample, Reservoir, SmallStep,
+    metropolis,
+};
 use crate::reuse::light_points::{Chosen, PATHS, Receiver, Sources, Time, candidates};
 use crate::reuse::passes::{self, Keys, NORMALS};
 use crate::reuse::surfaces::pack_normal;
-use crate::reuse::{Control, Domain, Mutated, StoredReservoir};
+use crate::reuse::{Control, Domain, Kernel, Mutated};
 
 /// The paths of one frame.
 #[derive(Debug)]
-pub(crate) struct Paths<'a, F> {
+pub(crate) struct Paths<'a, F, R> {
     /// The frame.
     pub(crate) frame: &'a FrameInputs<'a>,
     /// Which hits count.
@@ -28,6 +33,10 @@ pub(crate) struct Paths<'a, F> {
     pub(crate) retraces: bool,
     /// 2 where direct light has reservoirs of its own, which come first; else 1.
     pub(crate) parts: u32,
+    /// How mutations step.
+    pub(crate) kernel: Kernel,
+    /// What is stored.
+    pub(crate) records: PhantomData<fn() -> R>,
 }
 
 /// Where the initial pass takes paths and light points from.
@@ -48,7 +57,7 @@ struct Filling {
     direct: Option<(f32, Finished<PathSample, PrimarySample>)>,
 }
 
-impl<F: HitFilter + Sync> Paths<'_, F> {
+impl<F: HitFilter + Sync, R: Records> Paths<'_, F, R> {
     /// Fills a band of reservoirs with candidates for direct light and the trees of fresh walks,
     /// estimates with the sums of both, and the normals that later passes compare.
     pub(crate) fn initial(&self, mut fresh: Fresh<'_>, band: &mut Band<'_>) -> Counters {
@@ -57,7 +66,7 @@ impl<F: HitFilter + Sync> Paths<'_, F> {
         let chains = inputs.shot.chains();
         let hits = inputs.read::<PrimaryHit>(Plan::HITS);
         let pixels = band.pixels();
-        let records: &mut [PathRecord] = band.take(inputs.id(Keys::<PathRecord>::RESERVOIRS));
+        let records: &mut [R] = band.take(inputs.id(Keys::<R>::RESERVOIRS));
         let controls: &mut [Control] = band.take_some(inputs.plan.id(passes::CONTROLS));
         let normals: &mut [u32] = band.take_some(inputs.plan.id(NORMALS));
         for (local, pixel) in pixels.enumerate() {
@@ -73,7 +82,7 @@ impl<F: HitFilter + Sync> Paths<'_, F> {
             }
             let scatters = |receiver: &Receiver<'_>| !receiver.surface().0.bsdf.is_black();
             let Some((hit, receiver)) = receiver.filter(|(_, receiver)| scatters(receiver)) else {
-                records[own.clone()].fill(PathRecord::default());
+                records[own.clone()].fill(R::zeroed());
                 if let Some(controls) = controls.get_mut(own) {
                     controls.fill(Control::default());
                 }
@@ -122,7 +131,7 @@ impl<F: HitFilter + Sync> Paths<'_, F> {
                 if let Some(control) = controls.get_mut(at) {
                     *control = Control::new(finite_or_counted(filling.sum, &mut counters), true);
                 }
-                records[at] = PathRecord::new(&filling.finish(), 0);
+                records[at] = R::new(&filling.finish(), 0.0, 0, 0);
             }
         }
         counters
@@ -167,13 +176,25 @@ impl<F: HitFilter + Sync> Paths<'_, F> {
         let steps = Steps::<{ sampled::ONE }, F> { world, filter: self.filter };
         let (walks, limits) = (fresh.walks, fresh.limits);
         let how = (seed, walks);
-        let mut tree = Tree::new(world, self.connects, how, &mut filling.reservoir, random);
-        if fresh.direct.is_some() {
-            walk::<_, false, F>(&steps, seed, primary, limits, &mut tree, counters);
+        let sum = if R::MUTABLE {
+            let reservoir = &mut filling.reservoir;
+            let mut tree = Tree::<_, true>::new(world, self.connects, how, reservoir, random);
+            if fresh.direct.is_some() {
+                walk::<_, false, F>(&steps, seed, primary, limits, &mut tree, counters);
+            } else {
+                walk::<_, true, F>(&steps, seed, primary, limits, &mut tree, counters);
+            }
+            tree.sum
         } else {
-            walk::<_, true, F>(&steps, seed, primary, limits, &mut tree, counters);
-        }
-        let sum = tree.sum;
+            let reservoir = &mut filling.reservoir;
+            let mut tree = Tree::<_, false>::new(world, self.connects, how, reservoir, random);
+            if fresh.direct.is_some() {
+                walk::<_, false, F>(&steps, seed, primary, limits, &mut tree, counters);
+            } else {
+                walk::<_, true, F>(&steps, seed, primary, limits, &mut tree, counters);
+            }
+            tree.sum
+        };
         filling.sum += sum / walks as f32;
     }
 }
@@ -192,11 +213,33 @@ impl Filling {
     }
 }
 
-impl<'a, F: HitFilter + Sync> Domain for Paths<'a, F> {
+impl<'a, F: HitFilter + Sync, R: Records> Paths<'a, F, R> {
+    fn moved<K: SmallStep>(
+        &self,
+        receiver: &PathReceiver<'a>,
+        sample: PathSample,
+        steps: u32,
+        random: &mut impl RandomSource,
+        counters: &mut Counters,
+    ) -> Option<Mutated<PathSample>> {
+        let mut shift = self.shift();
+        let begun = PathMutator::<_, K>::new(&mut shift, receiver, &sample);
+        let chain =
+            begun.map(|(mut mutator, state)| metropolis(&mut mutator, state, steps, random));
+        *counters = *counters + shift.counters;
+        let chain = chain.filter(|chain| chain.accepted > 0)?;
+        counters.mutations_accepted += u64::from(chain.accepted);
+        let moved = chain.state.sample(&sample);
+        let (target_before, target) = (sample.target(), moved.target());
+        Some(Mutated { sample: moved, target_before, target })
+    }
+}
+
+impl<'a, F: HitFilter + Sync, R: Records> Domain for Paths<'a, F, R> {
     type Sample = PathSample;
     type Measure = PrimarySample;
     type Receiver = PathReceiver<'a>;
-    type Record = PathRecord;
+    type Record = R;
     type Shift = PathShift<'a, F>;
     /// F, which a sample carries.
     type Sight = Vec3;
@@ -233,7 +276,9 @@ impl<'a, F: HitFilter + Sync> Domain for Paths<'a, F> {
     }
 
     fn shift(&self) -> PathShift<'a, F> {
-        PathShift::new(self.filter, self.connects, self.frame.motion).retracing(self.retraces)
+        PathShift::new(self.filter, self.connects, self.frame.motion)
+            .retracing(self.retraces)
+            .mutable(R::MUTABLE)
     }
 
     fn work(shift: &PathShift<'a, F>) -> Counters {
@@ -258,80 +303,16 @@ impl<'a, F: HitFilter + Sync> Domain for Paths<'a, F> {
 
     fn mutated(
         &self,
-        _receiver: &PathReceiver<'a>,
-        _sample: PathSample,
-        _steps: u32,
-        _random: &mut impl RandomSource,
-        _counters: &mut Counters,
+        receiver: &PathReceiver<'a>,
+        sample: PathSample,
+        steps: u32,
+        random: &mut impl RandomSource,
+        counters: &mut Counters,
     ) -> Option<Mutated<PathSample>> {
-        None
-    }
-}
-
-impl StoredReservoir for PathRecord {
-    type Sample = PathSample;
-    type Measure = PrimarySample;
-
-    #[inline]
-    fn new(finished: &Finished<PathSample, PrimarySample>, _target: f32, age: u32, _: u16) -> Self {
-        Self::new(finished, age)
-    }
-
-    #[inline]
-    fn finished(&self) -> Finished<PathSample, PrimarySample> {
-        self.finished()
-    }
-
-    #[inline]
-    fn target(&self) -> f32 {
-        crate::math::luminance(self.integrand())
-    }
-
-    #[inline]
-    fn confidence(&self) -> f32 {
-        self.confidence()
-    }
-
-    #[inline]
-    fn age(&self) -> u32 {
-        self.age()
-    }
-
-    #[inline]
-    fn policy_bits(&self) -> u16 {
-        0
-    }
-
-    #[inline]
-    fn is_same(&self, other: &Self) -> bool {
-        self.is_same(other)
-    }
-
-    #[inline]
-    fn emptied(&self) -> Self {
-        Self::new(&Finished::empty(self.confidence()), self.age())
-    }
-
-    /// Within a frame T keeps all but F and the density.
-    #[inline]
-    fn slot(shifted: &Shifted<PathSample, Vec3>) -> [f32; 4] {
-        let [r, g, b] = shifted.integrand.to_array();
-        let density = shifted.sample.reconnection.as_ref().map_or(1.0, |kept| kept.density);
-        [r, g, b, density]
-    }
-
-    #[inline]
-    fn arrived(&self, [r, g, b, density]: [f32; 4]) -> Option<Shifted<PathSample, Vec3>> {
-        if density == 0.0 {
-            return None;
+        match self.kernel {
+            _ if !R::MUTABLE => None,
+            Kernel::Kelemen => self.moved::<Kelemen>(receiver, sample, steps, random, counters),
+            Kernel::Gaussian => self.moved::<Gaussian>(receiver, sample, steps, random, counters),
         }
-        let integrand = Vec3::new(r, g, b);
-        let mut sample = PathSample { integrand, ..self.finished().sample? };
-        let mut jacobian = 1.0;
-        if let Some(kept) = &mut sample.reconnection {
-            jacobian = density / kept.density;
-            kept.density = density;
-        }
-        Some(Shifted { sample, integrand, jacobian })
     }
 }

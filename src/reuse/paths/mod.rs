@@ -25,9 +25,12 @@
 //! our v₀.
 
 mod domain;
+mod ends;
 mod failure;
 mod frames;
 mod layers;
+mod mutate;
+mod next;
 mod record;
 mod replay;
 mod shift;
@@ -40,7 +43,10 @@ use glam::Vec3;
 pub(crate) use domain::{Fresh, Paths};
 pub use failure::Failure;
 pub(crate) use layers::{Kept, layers};
-pub use record::PathRecord;
+pub use mutate::{PathMutator, PathState};
+pub use next::{Next, Place};
+pub(crate) use record::Records;
+pub use record::{MutableRecord, PathRecord};
 pub use shift::{PathReceiver, PathShift};
 pub use tree::Tree;
 
@@ -113,6 +119,8 @@ pub struct Reconnection {
     pub density: f32,
     /// p ℓ of the end at `v_n` per solid angle, where r = n; else 0.
     pub light_density: f32,
+    /// What follows `x_r`, where paths are mutated and `x_r` scatters; else nothing.
+    pub next: Next,
 }
 
 /// A path from a primary hit.
@@ -143,6 +151,7 @@ impl PathSample {
             radiance: Vec3::ZERO,
             density: 1.0,
             light_density: 0.0,
+            next: Next::default(),
         };
         let (ending, reconnection) = (Ending::Direct, Some(reconnection));
         Self { seed: 0, integrand, last: 0, ending, reconnection }

@@ -3,10 +3,12 @@
 use bytemuck::{Pod, Zeroable};
 use glam::{Vec2, Vec3};
 
-use super::{Anchor, Ending, PathSample, Reconnection};
+use super::{Anchor, Ending, Next, PathSample, Reconnection};
 use crate::accel::Hit;
 use crate::light::LightPoint;
-use crate::resampling::{ContributionWeight, Finished, PrimarySample};
+use crate::math::luminance;
+use crate::resampling::{ContributionWeight, Finished, PrimarySample, Shifted};
+use crate::reuse::StoredReservoir;
 
 /// A finished reservoir of one pixel: 20 words, 80 bytes, exact.
 ///
@@ -27,6 +29,16 @@ use crate::resampling::{ContributionWeight, Finished, PrimarySample};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct PathRecord([u32; 20]);
+
+/// The same with what follows `x_r`: 120 bytes, for paths that are mutated.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub struct MutableRecord {
+    /// All else.
+    pub path: PathRecord,
+    /// What follows.
+    pub next: Next,
+}
 
 /// Largest confidence that a record holds.
 const MAX_CONFIDENCE: f32 = 255.0;
@@ -118,6 +130,7 @@ impl PathRecord {
             radiance: triple(15),
             density: float(18),
             light_density: float(19),
+            next: Next::default(),
         });
         let sample = PathSample {
             seed: u64::from(words[4]) | u64::from(words[5]) << 32,
@@ -162,18 +175,16 @@ impl PathRecord {
         all
     }
 
-    /// Whether both records hold a sample, and it has the same numbers: the same seed, or the same
-    /// light point.
+    /// Whether both records hold a sample, and it is the same one: the same seed, or for direct
+    /// light, which has none, the same light point; and the same `x_r`, which mutations move.
     #[must_use]
     pub fn is_same(&self, other: &Self) -> bool {
         let (own, other) = (&self.0, &other.0);
-        // Direct light has no seed.
-        let direct = bits(own[7], 0, 2) == 3;
         own[0] != 0
             && other[0] != 0
             && own[4..6] == other[4..6]
             && own[7] & 3 == other[7] & 3
-            && (!direct || own[8..11] == other[8..11])
+            && own[8..12] == other[8..12]
     }
 
     /// F of the sample; 0 without one.
@@ -197,6 +208,137 @@ impl PathRecord {
         bits(self.0[6], 24, 8)
     }
 }
+
+impl MutableRecord {
+    /// A finished reservoir and its sample's age in frames, which saturates.
+    #[must_use]
+    pub fn new(finished: &Finished<PathSample, PrimarySample>, age: u32) -> Self {
+        let kept = finished.sample.and_then(|sample| sample.reconnection);
+        let next = kept.map_or(Next::default(), |kept| kept.next);
+        Self { path: PathRecord::new(finished, age), next }
+    }
+
+    /// The finished reservoir.
+    #[must_use]
+    pub fn finished(&self) -> Finished<PathSample, PrimarySample> {
+        let mut finished = self.path.finished();
+        let kept = finished.sample.as_mut().and_then(|sample| sample.reconnection.as_mut());
+        if let Some(kept) = kept {
+            kept.next = self.next;
+        }
+        finished
+    }
+}
+
+/// Records of paths in a buffer.
+pub(crate) trait Records:
+    StoredReservoir<Sample = PathSample, Measure = PrimarySample>
+{
+    /// Whether they keep what follows `x_r`.
+    const MUTABLE: bool;
+
+    /// All else.
+    fn path(&self) -> &PathRecord;
+}
+
+impl Records for PathRecord {
+    const MUTABLE: bool = false;
+
+    #[inline]
+    fn path(&self) -> &PathRecord {
+        self
+    }
+}
+
+impl Records for MutableRecord {
+    const MUTABLE: bool = true;
+
+    #[inline]
+    fn path(&self) -> &PathRecord {
+        &self.path
+    }
+}
+
+/// What both have in common, since only [`MutableRecord`] has more of a sample.
+macro_rules! stored {
+    ($record:ty) => {
+        impl StoredReservoir for $record {
+            type Sample = PathSample;
+            type Measure = PrimarySample;
+
+            #[inline]
+            fn new(
+                finished: &Finished<PathSample, PrimarySample>,
+                _target: f32,
+                age: u32,
+                _: u16,
+            ) -> Self {
+                Self::new(finished, age)
+            }
+
+            #[inline]
+            fn finished(&self) -> Finished<PathSample, PrimarySample> {
+                self.finished()
+            }
+
+            #[inline]
+            fn target(&self) -> f32 {
+                luminance(self.path().integrand())
+            }
+
+            #[inline]
+            fn confidence(&self) -> f32 {
+                self.path().confidence()
+            }
+
+            #[inline]
+            fn age(&self) -> u32 {
+                self.path().age()
+            }
+
+            #[inline]
+            fn policy_bits(&self) -> u16 {
+                0
+            }
+
+            #[inline]
+            fn is_same(&self, other: &Self) -> bool {
+                self.path().is_same(other.path())
+            }
+
+            #[inline]
+            fn emptied(&self) -> Self {
+                Self::new(&Finished::empty(self.confidence()), self.age())
+            }
+
+            /// Within a frame T keeps all but F and the density.
+            #[inline]
+            fn slot(shifted: &Shifted<PathSample, Vec3>) -> [f32; 4] {
+                let [r, g, b] = shifted.integrand.to_array();
+                let density = shifted.sample.reconnection.as_ref().map_or(1.0, |kept| kept.density);
+                [r, g, b, density]
+            }
+
+            #[inline]
+            fn arrived(&self, [r, g, b, density]: [f32; 4]) -> Option<Shifted<PathSample, Vec3>> {
+                if density == 0.0 {
+                    return None;
+                }
+                let integrand = Vec3::new(r, g, b);
+                let mut sample = PathSample { integrand, ..self.finished().sample? };
+                let mut jacobian = 1.0;
+                if let Some(kept) = &mut sample.reconnection {
+                    jacobian = density / kept.density;
+                    kept.density = density;
+                }
+                Some(Shifted { sample, integrand, jacobian })
+            }
+        }
+    };
+}
+
+stored!(PathRecord);
+stored!(MutableRecord);
 
 #[cfg(test)]
 mod tests {
@@ -241,6 +383,7 @@ mod tests {
                 radiance: Vec3::new(a, b, 0.0),
                 density: c,
                 light_density: d,
+                next: Next::default(),
             });
             let sample = PathSample {
                 seed: u64::from(random.word()) << 32 | u64::from(random.word()),

@@ -14,6 +14,7 @@ use crate::path::{Steps, Vertex, sampled};
 use crate::surface::bsdf::BsdfSample;
 
 /// A path that is replayed, at a vertex.
+#[derive(Debug)]
 pub(super) struct Replay {
     pub(super) vertex: Vertex,
     number: u32,

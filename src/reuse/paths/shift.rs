@@ -3,18 +3,19 @@
 
 use glam::Vec3;
 
+use super::ends::{Leaves, LightEnd, Met, Onward, Sight, end_at, light_end, onward_from};
 use super::failure::Failure;
 use super::replay::Replay;
-use super::suffix::{Suffix, light_again};
+use super::suffix::{Suffix, Turn, light_again};
 use super::trail::Way;
 use super::{Anchor, Connects, Ending, NO_LOBE, PathSample, Reconnection, ShiftKind};
 use crate::accel::{AcceptAll, Hit, HitFilter, HitPoint};
 use crate::counters::Counters;
-use crate::light::{Arrival, LightPoint, NO_LIGHT};
-use crate::math::offset_origin;
+use crate::light::LightPoint;
 use crate::path::{Steps, Vertex, power_heuristic, sampled, shadow_ray};
 use crate::resampling::{ShiftMap, Shifted};
 use crate::reuse::light_points::Time;
+use crate::surface::SurfacePoint;
 use crate::surface::bsdf::Evaluation;
 use crate::world::{Motion, World};
 
@@ -46,6 +47,9 @@ pub struct PathShift<'a, F> {
     /// Whether lights or geometry move, so that what lies behind `x_r` is traced again in another
     /// frame.
     pub retraces: bool,
+    /// Whether `x_r` may have moved, so that the path's numbers say nothing of what follows it up
+    /// to [`Reconnection::next`].
+    pub mutable: bool,
     /// Work done, and shifts that were undefined, by reason.
     pub counters: Counters,
     /// Why the last shift that was undefined was.
@@ -53,16 +57,17 @@ pub struct PathShift<'a, F> {
 }
 
 /// How the vertex before `x_r` is left towards it.
-struct Left {
-    way: Way,
-    direction: Vec3,
+pub(super) struct Left {
+    pub(super) way: Way,
+    pub(super) direction: Vec3,
     /// All lobes.
-    total: Evaluation,
+    pub(super) total: Evaluation,
     /// p(`ω_{r−1}`, `ℓ_{r−1}`).
-    joint: f32,
+    pub(super) joint: f32,
 }
 
 /// What a connection gives.
+#[derive(Clone, Copy, Debug)]
 pub(super) struct Connected {
     pub(super) integrand: Vec3,
     pub(super) ending: Ending,
@@ -75,13 +80,20 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
     #[must_use]
     pub fn new(filter: &'a F, connects: Connects, motion: Option<&'a Motion>) -> Self {
         let counters = Counters::default();
-        Self { filter, connects, motion, retraces: false, counters, lost: None }
+        let [retraces, mutable] = [false; 2];
+        Self { filter, connects, motion, retraces, mutable, counters, lost: None }
     }
 
     /// The same, which traces what lies behind `x_r` again where the frame changes.
     #[must_use]
     pub fn retracing(self, retraces: bool) -> Self {
         Self { retraces, ..self }
+    }
+
+    /// The same for paths that are mutated.
+    #[must_use]
+    pub fn mutable(self, mutable: bool) -> Self {
+        Self { mutable, ..self }
     }
 
     /// T, or why it is undefined.
@@ -141,20 +153,31 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         let (connected, ratio) = match kept.anchor {
             Anchor::Point(point) => {
                 let (point, ratio) = self.point_there(point, from, to)?;
-                (self.connect_light_point(&steps, &replay, (sample, kept), point)?, ratio)
+                let ends = (sample, kept);
+                let (connected, sight) =
+                    self.connect_light_point(to.world, &replay, ends, point)?;
+                self.look(&steps, &replay.vertex.surface, sight)?;
+                (connected, ratio)
             }
             Anchor::Sky { light } => {
                 let light = self.light_there(light, from, to)?;
                 let ending = Ending::Sky { sky };
-                (self.connect_sky(&steps, &replay, kept, (light, ending))?, 1.0)
+                let there = (light, ending, kept.direction);
+                let connected = self.connect_sky(to.world, &replay, kept, there)?;
+                self.look(&steps, &replay.vertex.surface, (kept.direction, None))?;
+                (connected, 1.0)
             }
             Anchor::Surface(hit) => {
                 let (hit, point, ratio) = self.hit_there(&hit, from, to)?;
                 let connected = if kept.vertex > sample.last {
-                    self.connect_emitter(&steps, &replay, kept, (&hit, &point))?
+                    let at = (&hit, &point);
+                    let (connected, sight) = self.connect_emitter(to.world, &replay, kept, at)?;
+                    self.look(&steps, &replay.vertex.surface, sight)?;
+                    connected
                 } else {
-                    let again = self.retraces_between(from, to).then_some(sky);
-                    self.connect_surface(&steps, &replay, sample, kept, (&hit, &point), again)?
+                    let again = self.retraces_between(from, to).then_some((sky, from, to));
+                    let at = (&hit, &point);
+                    self.connect_surface(&steps, &replay, sample, kept, at, again)?
                 };
                 (connected, ratio)
             }
@@ -191,7 +214,12 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
     /// Leaves the vertex before `x_r` towards a point by `ℓ_{r−1}`. Fails where that may not be
     /// connected.
     #[inline]
-    fn leave_to(&self, replay: &Replay, lobe: u8, point: &HitPoint) -> Result<Left, Failure> {
+    pub(super) fn leave_to(
+        &self,
+        replay: &Replay,
+        lobe: u8,
+        point: &HitPoint,
+    ) -> Result<Left, Failure> {
         let way = replay.trail.way_to(point);
         let direction = point.position - replay.vertex.surface.position;
         let direction = direction / direction.length();
@@ -202,18 +230,16 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         Ok(Left { way, direction, total, joint })
     }
 
-    /// Fails where something stands between the vertex before `x_r` and a point: one ray, off both
-    /// surfaces.
+    /// Fails where something stands between a surface and a point: one ray, off both surfaces.
     #[inline]
-    fn look<G: HitFilter>(
+    pub(super) fn look<G: HitFilter>(
         &mut self,
         steps: &Steps<'_, { sampled::ONE }, G>,
-        replay: &Replay,
-        direction: Vec3,
-        end: Option<Vec3>,
+        surface: &SurfacePoint,
+        (direction, end): Sight,
     ) -> Result<(), Failure> {
         self.counters.shadow_rays += 1;
-        let ray = shadow_ray(&replay.vertex.surface, direction, end);
+        let ray = shadow_ray(surface, direction, end);
         if steps.world.accel.occluded(&ray, steps.filter) {
             return Err(Failure::Occluded);
         }
@@ -221,7 +247,7 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
     }
 
     /// `x_r` is a vertex that scatters. `again` has the path's sky in the destination's world where
-    /// what lies behind is traced there.
+    /// what lies behind is traced there, and both receivers.
     fn connect_surface<G: HitFilter>(
         &mut self,
         steps: &Steps<'_, { sampled::ONE }, G>,
@@ -229,7 +255,7 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         sample: &PathSample,
         kept: &Reconnection,
         (hit, point): (&Hit, &HitPoint),
-        again: Option<u32>,
+        again: Option<(u32, &PathReceiver<'_>, &PathReceiver<'_>)>,
     ) -> Result<Connected, Failure> {
         let Left { way, direction, total, joint } = self.leave_to(replay, kept.lobes[0], point)?;
         let vertex = Vertex::new(steps.world, hit, point, direction).ok_or(Failure::Back)?;
@@ -239,107 +265,87 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         if !(samples_light && again.is_some()) {
             onward = onward_from(&vertex, kept.lobes[1], suffix.direction)?;
         }
-        let normal = point.geometric_normal;
-        let side = 1.0_f32.copysign(-direction.dot(normal));
-        let end = offset_origin(point.position, normal * side, point.error);
-        self.look(steps, replay, direction, Some(end))?;
-        if let Some(sky) = again {
-            let counters = &mut self.counters;
+        self.look(steps, &replay.vertex.surface, (direction, Some(end_at(point, direction))))?;
+        if let Some((sky, from, to)) = again {
             if samples_light {
-                let numbers = (sample.seed, kept.vertex.into());
-                let light = light_again(steps, &vertex, numbers, counters)?;
-                onward = Onward { total: light.scattered, joint: 1.0 };
-                suffix = Suffix::lit(&light);
+                let scattered;
+                (suffix, scattered) = if self.mutable {
+                    self.lit_again(steps, &vertex, kept, (from, to))?
+                } else {
+                    let numbers = (sample.seed, kept.vertex.into());
+                    let light = light_again(steps, &vertex, numbers, &mut self.counters)?;
+                    (Suffix::lit(&light), light.scattered)
+                };
+                onward = Onward { total: scattered, joint: 1.0 };
             } else {
-                let from = (kept, onward.total.pdf);
-                suffix = Suffix::traced(steps, &vertex, sample, from, sky, counters)?;
+                let turn =
+                    if self.mutable { self.turn_of(sample, kept, from)? } else { Turn::Drawn };
+                let along = (kept, onward.total.pdf, turn);
+                suffix = self.traced(steps, &vertex, sample, along, sky)?;
             }
         }
         let Suffix { radiance, light_density, ending, .. } = suffix;
-        let there = onward.total;
-        if !replay.trail.onward(&self.connects, &way, &vertex.surface.bsdf, there.pdf) {
+        if !replay.trail.onward(&self.connects, &way, &vertex.surface.bsdf, onward.total.pdf) {
             return Err(Failure::Near);
         }
-        let behind = if samples_light {
-            let alone = ending == Ending::Light { delta: true };
-            let share = if alone { 1.0 } else { power_heuristic(light_density, there.pdf) };
-            there.value * radiance * (share / light_density)
-        } else {
-            let at_last = kept.vertex == sample.last;
-            let share = if at_last { power_heuristic(there.pdf, light_density) } else { 1.0 };
-            there.value / there.pdf * radiance * share
-        };
+        let leaves = Leaves::new(samples_light, ending, kept.vertex == sample.last);
+        let behind = leaves.made_of(&onward.total, radiance, light_density);
         let density = joint * way.geometry * onward.joint;
-        let Suffix { direction, .. } = suffix;
+        let Suffix { direction, next, ratio, .. } = suffix;
         let reconnection = Reconnection {
             density,
             anchor: Anchor::Surface(*hit),
             direction,
             radiance,
             light_density,
+            next,
             ..*kept
         };
         Ok(Connected {
             integrand: replay.throughput * (total.value / total.pdf) * behind,
             ending,
             reconnection: Some(reconnection),
-            jacobian: density / kept.density,
+            jacobian: density / kept.density * ratio,
         })
     }
 
-    /// `x_r` is the emitter that the last direction met.
-    fn connect_emitter<G: HitFilter>(
-        &mut self,
-        steps: &Steps<'_, { sampled::ONE }, G>,
+    /// `x_r` is the emitter that the last direction met, if nothing stands between.
+    pub(super) fn connect_emitter(
+        &self,
+        world: &World,
         replay: &Replay,
         kept: &Reconnection,
         (hit, point): (&Hit, &HitPoint),
-    ) -> Result<Connected, Failure> {
-        let world = steps.world;
-        let light = world.lights.of_surface(point.shape, point.element);
-        if light == NO_LIGHT {
-            return Err(Failure::LightGone);
-        }
+    ) -> Result<(Connected, Sight), Failure> {
         let Left { way, direction, total, joint } = self.leave_to(replay, kept.lobes[0], point)?;
-        let cosine = -direction.dot(point.geometric_normal);
-        let emission = world.lights.emitted(&world.scene, light, point.uv, cosine);
-        if emission == Vec3::ZERO {
-            return Err(Failure::Back);
-        }
-        let from = replay.vertex.surface.position;
-        let pdf = world.lights.pdf_towards(light, from, point.position, cosine);
-        let share = power_heuristic(total.pdf, world.lights.choice_probability(light) * pdf);
-        let normal = point.geometric_normal;
-        let side = 1.0_f32.copysign(cosine);
-        let end = offset_origin(point.position, normal * side, point.error);
-        self.look(steps, replay, direction, Some(end))?;
+        let met = Met::new(world, replay.vertex.surface.position, direction, point)?;
+        let share = power_heuristic(total.pdf, met.density);
         let density = joint * way.geometry;
         let anchor = Anchor::Surface(*hit);
-        Ok(Connected {
-            integrand: replay.throughput * (total.value / total.pdf) * emission * share,
+        let connected = Connected {
+            integrand: replay.throughput * (total.value / total.pdf) * met.emission * share,
             ending: Ending::Emitter,
             reconnection: Some(Reconnection { density, anchor, ..*kept }),
             jacobian: density / kept.density,
-        })
+        };
+        Ok((connected, (direction, Some(end_at(point, direction)))))
     }
 
-    /// `x_r` is a direction of a sky.
-    fn connect_sky<G: HitFilter>(
-        &mut self,
-        steps: &Steps<'_, { sampled::ONE }, G>,
+    /// `x_r` is a direction of a sky, if nothing stands there.
+    pub(super) fn connect_sky(
+        &self,
+        world: &World,
         replay: &Replay,
         kept: &Reconnection,
-        (light, ending): (u32, Ending),
+        (light, ending, direction): (u32, Ending, Vec3),
     ) -> Result<Connected, Failure> {
-        let lights = &steps.world.lights;
-        let direction = kept.direction;
+        let lights = &world.lights;
         let (total, joint) = self.leave(replay, kept.lobes[0], direction)?;
         let (_, sky) =
             lights.environments().find(|(sky, _)| *sky == light).ok_or(Failure::LightGone)?;
         let emission = sky.radiance(direction);
         let pdf = lights.choice_probability(light) * sky.pdf(direction);
         let share = power_heuristic(total.pdf, pdf);
-        self.look(steps, replay, direction, None)?;
         let anchor = Anchor::Sky { light };
         Ok(Connected {
             integrand: replay.throughput * (total.value / total.pdf) * emission * share,
@@ -347,6 +353,7 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
             reconnection: Some(Reconnection {
                 density: joint,
                 anchor,
+                direction,
                 radiance: emission,
                 ..*kept
             }),
@@ -354,16 +361,15 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
         })
     }
 
-    /// `x_r` is a point on a light that `v_n` sampled.
-    fn connect_light_point<G: HitFilter>(
-        &mut self,
-        steps: &Steps<'_, { sampled::ONE }, G>,
+    /// `x_r` is a point on a light that `v_n` sampled, if nothing stands between.
+    pub(super) fn connect_light_point(
+        &self,
+        world: &World,
         replay: &Replay,
         (sample, kept): (&PathSample, &Reconnection),
         point: LightPoint,
-    ) -> Result<Connected, Failure> {
+    ) -> Result<(Connected, Sight), Failure> {
         let Vertex { surface, outgoing } = &replay.vertex;
-        let world = steps.world;
         let emitter = world.lights.emitter(&world.scene, point).ok_or(Failure::LightGone)?;
         let direct = sample.ending == Ending::Direct;
         let LightEnd { arrival, density } = if direct {
@@ -386,57 +392,15 @@ impl<'a, F: HitFilter> PathShift<'a, F> {
             power_heuristic(density / arrival.geometry, scattered.pdf)
         };
         let end = world.lights.shadow_end(&emitter, surface.position);
-        self.look(steps, replay, arrival.direction, end)?;
         let reconnection = Reconnection { density, anchor: Anchor::Point(point), ..*kept };
-        Ok(Connected {
+        let connected = Connected {
             integrand: replay.throughput * scattered.value * arrival.radiance * (share / density),
             ending: if direct { Ending::Direct } else { Ending::Light { delta } },
             reconnection: Some(reconnection),
             jacobian: density / kept.density,
-        })
+        };
+        Ok((connected, (arrival.direction, end)))
     }
-}
-
-/// The lobes of `x_r` in the direction onward.
-#[derive(Clone, Copy)]
-struct Onward {
-    /// All lobes.
-    total: Evaluation,
-    /// Joint density with `ℓ_r`; 1 where a light is sampled.
-    joint: f32,
-}
-
-/// The lobes of a vertex in a direction onward, which is taken by `lobe`, or by all for a light
-/// sample.
-#[inline]
-fn onward_from(at: &Vertex, lobe: u8, direction: Vec3) -> Result<Onward, Failure> {
-    let bsdf = &at.surface.bsdf;
-    let wi = at.surface.frame.to_local(direction);
-    let onward = if lobe == NO_LOBE {
-        Onward { total: bsdf.evaluate(at.outgoing, wi), joint: 1.0 }
-    } else {
-        let (total, joint) = bsdf.evaluate_with_lobe(lobe.into(), at.outgoing, wi);
-        Onward { total, joint }
-    };
-    let lost = onward.joint <= 0.0 || onward.total.value == Vec3::ZERO;
-    if lost { Err(Failure::Back) } else { Ok(onward) }
-}
-
-/// A light point as a vertex samples it.
-pub(super) struct LightEnd {
-    /// What arrives; its geometry is 0 for lights that no direction meets.
-    arrival: Arrival,
-    /// Density of light sampling at the vertex, choice included, in the light's measure.
-    pub(super) density: f32,
-}
-
-/// The light point as a vertex at `from` samples it; `None` where nothing arrives.
-#[inline]
-pub(super) fn light_end(world: &World, from: Vec3, point: LightPoint) -> Option<LightEnd> {
-    let lights = &world.lights;
-    let arrival = lights.emitter(&world.scene, point)?.towards(lights, from)?;
-    let density = lights.density_towards(point, from, arrival.geometry);
-    (density > 0.0).then_some(LightEnd { arrival, density })
 }
 
 impl<'a, F: HitFilter> ShiftMap for PathShift<'a, F> {

@@ -33,7 +33,7 @@ impl Connects {
     /// Whether a vertex may be left by a lobe, or by a light sample, which takes all: what the
     /// surface says of `x_r`.
     #[inline]
-    fn second(&self, bsdf: &Bsdf, lobe: Option<u32>) -> bool {
+    pub(super) fn second(&self, bsdf: &Bsdf, lobe: Option<u32>) -> bool {
         match (self.predicate, lobe) {
             (Predicate::Distance, Some(lobe)) => self.is_rough(bsdf, lobe),
             // Any is rough enough.

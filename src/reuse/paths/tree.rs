@@ -3,10 +3,11 @@
 
 use glam::Vec3;
 
-use super::shift::light_end;
+use super::ends::{LightEnd, light_end};
 use super::trail::Trail;
-use super::{Anchor, Connects, Ending, NO_LOBE, PathSample, Reconnection};
+use super::{Anchor, Connects, Ending, NO_LOBE, Next, PathSample, Place, Reconnection};
 use crate::accel::{Hit, HitPoint};
+use crate::light::LightPoint;
 use crate::math::luminance;
 use crate::math::rng::RandomSource;
 use crate::path::{Ending as Found, LightSample, Vertex, Visitor};
@@ -24,6 +25,10 @@ struct Open {
     density: f32,
     /// Π f/p̄ behind it.
     suffix: Vec3,
+    /// The vertex behind it.
+    next: Next,
+    /// Π f/p̄ behind that.
+    beyond: Vec3,
 }
 
 /// The [`Visitor`] that makes a path of each end: w = p̂ / q, with q the chance that roulette left
@@ -31,8 +36,10 @@ struct Open {
 ///
 /// Ends of one walk lie in different parts of the sample space (they differ in length or in
 /// technique), so each counts in full: W = Σw / p̂(Y), not divided by their number.
+///
+/// With `MUTABLE`, paths know what follows their `x_r`.
 #[derive(Debug)]
-pub struct Tree<'a, R> {
+pub struct Tree<'a, R, const MUTABLE: bool> {
     world: &'a World,
     connects: Connects,
     seed: u64,
@@ -53,7 +60,7 @@ pub struct Tree<'a, R> {
     open: Option<Open>,
 }
 
-impl<'a, R: RandomSource> Tree<'a, R> {
+impl<'a, R: RandomSource, const MUTABLE: bool> Tree<'a, R, MUTABLE> {
     /// Streams the walk of `seed`, one of `walks`, into a reservoir that selects by `random`, which
     /// must not be the path's own numbers.
     pub fn new(
@@ -94,16 +101,16 @@ impl<'a, R: RandomSource> Tree<'a, R> {
         self.reservoir.stream(sample, weight, (), self.random);
     }
 
-    /// The reconnection of a path that goes on behind `x_r`, and ends with `light` of `density`.
-    fn behind(
-        &self,
-        number: u32,
-        open: &Open,
-        light: Vec3,
-        share: f32,
-        density: f32,
-    ) -> Reconnection {
+    /// The reconnection of a path that goes on behind `x_r`, and meets an end at a place.
+    fn behind(&self, number: u32, open: &Open, end: &Found, place: Place) -> Reconnection {
+        let Found { emission: light, share, density, .. } = *end;
         let at_last = u32::from(open.vertex) == number;
+        let next = match number - u32::from(open.vertex) {
+            _ if !MUTABLE => Next::default(),
+            0 => Next::end(place),
+            1 => open.next.lit(light, density),
+            _ => open.next.lit(open.beyond * light * share, 0.0),
+        };
         Reconnection {
             vertex: open.vertex,
             lobes: open.lobes,
@@ -112,7 +119,28 @@ impl<'a, R: RandomSource> Tree<'a, R> {
             radiance: if at_last { light } else { open.suffix * light * share },
             density: open.density,
             light_density: if at_last { density } else { 0.0 },
+            next,
         }
+    }
+
+    /// What follows `x_r` on a path that vertex `number` behind it ends with a light sample.
+    fn next(&self, number: u32, open: &Open, sample: &LightSample) -> Next {
+        if !MUTABLE {
+            Next::default()
+        } else if number == u32::from(open.vertex) + 1 {
+            let incident = &sample.incident;
+            Next::vertex(&self.hit, NO_LOBE, incident.direction)
+                .lit(incident.radiance, sample.density)
+        } else {
+            open.next.lit(open.beyond * sample.contribution(), 0.0)
+        }
+    }
+
+    /// The point that was sampled, as it is kept; `None` where rounding moved it behind the light.
+    fn point(&self, at: &Vertex, sample: &LightSample) -> Option<(LightPoint, LightEnd)> {
+        let from = at.surface.position;
+        let point = self.world.lights.point_towards(sample.light, from, sample.u);
+        light_end(self.world, from, point).map(|end| (point, end))
     }
 }
 
@@ -121,7 +149,7 @@ fn place(hit: &Hit) -> Hit {
     Hit { t: 0.0, ..*hit }
 }
 
-impl<R: RandomSource> Visitor for Tree<'_, R> {
+impl<R: RandomSource, const MUTABLE: bool> Visitor for Tree<'_, R, MUTABLE> {
     #[inline]
     fn vertex(&mut self, number: u32, at: &Vertex, hit: &Hit, point: &HitPoint) {
         self.trail.arrive(&self.connects, number, at, (point, hit.t));
@@ -142,6 +170,7 @@ impl<R: RandomSource> Visitor for Tree<'_, R> {
                 radiance: open.suffix * contribution,
                 density: open.density,
                 light_density: 0.0,
+                next: self.next(number, open, sample),
             }),
             None if self.trail.connects(
                 &self.connects,
@@ -158,23 +187,24 @@ impl<R: RandomSource> Visitor for Tree<'_, R> {
                     radiance: incident.radiance,
                     density: self.trail.density * self.trail.way.geometry,
                     light_density: sample.density,
+                    next: match MUTABLE.then(|| self.point(at, sample)).flatten() {
+                        Some((point, _)) => Next::end(Place::Light(point)),
+                        None => Next::default(),
+                    },
                 })
             }
             // A point on a light is kept whatever the distance and the lobes; nothing is where
             // rounding moved it behind the light.
-            None => {
-                let from = at.surface.position;
-                let point = self.world.lights.point_towards(sample.light, from, sample.u);
-                light_end(self.world, from, point).map(|end| Reconnection {
-                    vertex: number as u8 + 1,
-                    lobes: [NO_LOBE; 2],
-                    anchor: Anchor::Point(point),
-                    direction: Vec3::ZERO,
-                    radiance: Vec3::ZERO,
-                    density: end.density,
-                    light_density: 0.0,
-                })
-            }
+            None => self.point(at, sample).map(|(point, end)| Reconnection {
+                vertex: number as u8 + 1,
+                lobes: [NO_LOBE; 2],
+                anchor: Anchor::Point(point),
+                direction: Vec3::ZERO,
+                radiance: Vec3::ZERO,
+                density: end.density,
+                light_density: 0.0,
+                next: Next::default(),
+            }),
         };
         let ending = Ending::Light { delta: incident.delta };
         self.stream(number, contribution, ending, reconnection);
@@ -196,7 +226,14 @@ impl<R: RandomSource> Visitor for Tree<'_, R> {
         };
         self.clean *= factor;
         match &mut self.open {
-            Some(open) => open.suffix *= factor,
+            Some(open) => {
+                open.suffix *= factor;
+                if MUTABLE && number == u32::from(open.vertex) + 1 {
+                    open.next = Next::vertex(&self.hit, sample.lobe, direction);
+                } else if MUTABLE {
+                    open.beyond *= factor;
+                }
+            }
             None if connects => {
                 self.open = Some(Open {
                     vertex: number as u8,
@@ -205,6 +242,8 @@ impl<R: RandomSource> Visitor for Tree<'_, R> {
                     direction,
                     density: self.trail.density * self.trail.way.geometry * density,
                     suffix: Vec3::ONE,
+                    next: Next::default(),
+                    beyond: Vec3::ONE,
                 });
             }
             None => {}
@@ -222,7 +261,7 @@ impl<R: RandomSource> Visitor for Tree<'_, R> {
     fn emitter(&mut self, number: u32, throughput: Vec3, end: &Found, hit: &Hit, at: &HitPoint) {
         self.sum += throughput * end.emission * end.share;
         let reconnection = match &self.open {
-            Some(open) => Some(self.behind(number, open, end.emission, end.share, end.density)),
+            Some(open) => Some(self.behind(number, open, end, Place::Surface(place(hit)))),
             None => {
                 let way = self.trail.way_to(at);
                 let connects = self.trail.rough && self.trail.leaves_to(&self.connects, &way);
@@ -234,6 +273,7 @@ impl<R: RandomSource> Visitor for Tree<'_, R> {
                     radiance: Vec3::ZERO,
                     density: self.trail.density * way.geometry,
                     light_density: 0.0,
+                    next: Next::default(),
                 })
             }
         };
@@ -244,7 +284,7 @@ impl<R: RandomSource> Visitor for Tree<'_, R> {
     fn sky(&mut self, number: u32, throughput: Vec3, end: &Found, direction: Vec3) {
         self.sum += throughput * end.emission * end.share;
         let reconnection = match &self.open {
-            Some(open) => Some(self.behind(number, open, end.emission, end.share, end.density)),
+            Some(open) => Some(self.behind(number, open, end, Place::Sky)),
             None => self.trail.rough.then(|| Reconnection {
                 vertex: number as u8 + 1,
                 lobes: [self.trail.lobe, NO_LOBE],
@@ -253,6 +293,7 @@ impl<R: RandomSource> Visitor for Tree<'_, R> {
                 radiance: end.emission,
                 density: self.trail.density,
                 light_density: 0.0,
+                next: Next::default(),
             }),
         };
         let sky = self.world.lights.environments().position(|(light, _)| light == end.light);

@@ -35,7 +35,7 @@ use crate::reuse::light_points::{LightTiles, Record, Supply};
 use crate::reuse::parameters::reuse_rows;
 use crate::reuse::passes::Keys;
 use crate::reuse::policy::StoredOutcome;
-use crate::reuse::{REUSE_AGE, REUSE_DISTANCE, Settings, SpatialUse, Taps, Visibility};
+use crate::reuse::{Kernel, REUSE_AGE, REUSE_DISTANCE, Settings, SpatialUse, Taps, Visibility};
 use crate::spec::{self, Choice, Row, row};
 use crate::techniques::{Entry, Technique, Twin};
 
@@ -291,6 +291,9 @@ impl RestirDi {
             mutations,
             boiling,
             max_age,
+            // Only paths ask for these.
+            kernel: Kernel::Kelemen,
+            mutate_share: 1.0,
             duplicates: 0.0,
         }
     }

@@ -7,6 +7,7 @@
 //! | initial | hits | reservoirs: a light point of the candidates or a path of the walks; estimates: the light of all of them |
 //! | temporal | reservoirs, the last frame's `history` | reservoirs, in place |
 //! | boiling | reservoirs of a tile | reservoirs, in place; off by default, biased |
+//! | mutate | reservoirs | reservoirs, in place, whose paths moved; off by default |
 //! | shifts | reservoirs | the path of each pixel as its partners see it |
 //! | spatial | reservoirs, shifts | `history` (the last round, which also shades) |
 //! | shade | reservoirs | radiance, where there is no spatial pass |
@@ -20,6 +21,9 @@ mod rungs;
 use parameters::rows;
 pub use parameters::{Direct, Preset, Shade};
 
+use std::borrow::Cow;
+use std::marker::PhantomData;
+
 use crate::accel::HitFilter;
 use crate::counters::Counters;
 use crate::error::{Error, Result};
@@ -30,10 +34,11 @@ use crate::resampling::{ControlVariate, Decoupled, Estimator, Merges, Selected};
 use crate::reuse::light_points::{LightPoints, LightTiles, Supply};
 use crate::reuse::passes::{self, Initial, Keys, Place, kernel as reuse_kernel};
 use crate::reuse::paths::{
-    self, Connects, Fresh, Kept, MOST_SEGMENTS, PathRecord, Paths, Predicate, ShiftKind,
+    self, Connects, Fresh, Kept, MOST_SEGMENTS, MutableRecord, PathRecord, Paths, Predicate,
+    Records, ShiftKind,
 };
 use crate::reuse::policy::{InTarget, InTargetControl, Policy};
-use crate::reuse::{Reuse, Settings};
+use crate::reuse::{Kernel, Reuse, Settings};
 use crate::spec::{self, Choice};
 use crate::techniques::{Entry, Technique};
 use crate::world::WithFilter;
@@ -96,8 +101,7 @@ pub struct RestirPt {
     pub shared: bool,
     /// What is shown.
     pub shade: Shade,
-    /// Of reuse; paths are not mutated, so `mutations` must be 0, and `shade` stands for
-    /// `decoupled`, which must be false.
+    /// Of reuse; `shade` stands for `decoupled`, which must be false.
     pub reuse: Settings,
 }
 
@@ -134,7 +138,7 @@ impl RestirPt {
     /// A usage error that names the parameter and what is allowed, or both sides.
     pub fn validate(&self) -> Result<()> {
         spec::check(&rows(), self)?;
-        let Settings { decoupled, neighbours, mutations, .. } = self.reuse;
+        let Settings { decoupled, neighbours, mutations, kernel, mutate_share, .. } = self.reuse;
         let Self { candidates, bsdf, tiles, .. } = Self::default();
         if self.direct == Direct::Tree
             && (self.candidates, self.bsdf, self.tiles) != (candidates, bsdf, tiles)
@@ -144,10 +148,11 @@ impl RestirPt {
                 self.direct.name()
             )));
         }
-        if mutations > 0 {
-            return Err(Error::usage(format!(
-                "`mutations` is {mutations}, but paths are not mutated: it must be 0"
-            )));
+        let steps = Settings::default();
+        if mutations == 0 && (kernel, mutate_share) != (steps.kernel, steps.mutate_share) {
+            return Err(Error::usage(
+                "`kernel` and `mutate-share` say how paths are mutated, but `mutations` is 0; set it to at least 1",
+            ));
         }
         if decoupled {
             return Err(Error::usage("`decoupled` is true, but `shade` says what is shown"));
@@ -158,6 +163,20 @@ impl RestirPt {
             ));
         }
         Ok(())
+    }
+
+    fn mutates(&self) -> bool {
+        self.reuse.mutations > 0
+    }
+
+    /// The paths of records.
+    fn paths<'w>(&self, words: &'w [u32]) -> Cow<'w, [PathRecord]> {
+        if self.mutates() {
+            let records: &[MutableRecord] = bytemuck::cast_slice(words);
+            records.iter().map(|record| record.path).collect()
+        } else {
+            Cow::Borrowed(bytemuck::cast_slice(words))
+        }
     }
 
     fn supply(&self) -> Supply {
@@ -268,11 +287,11 @@ impl Technique for RestirPt {
             shares: self.shared,
         };
         let settings = self.settings();
-        match self.shade {
-            Shade::Control => {
-                passes::add::<PathRecord, InTargetControl>(&mut plan, &settings, initial);
-            }
-            _ => passes::add::<PathRecord, InTarget>(&mut plan, &settings, initial),
+        if self.mutates() {
+            add::<MutableRecord>(&mut plan, self.shade, &settings, initial);
+        } else {
+            plan.skip("what follows a path's connection", "`mutations` is 0");
+            add::<PathRecord>(&mut plan, self.shade, &settings, initial);
         }
         plan.finish(self.claim(facts.is_still(shot), shot.depth))
     }
@@ -285,8 +304,7 @@ impl Technique for RestirPt {
         if Keys::<PathRecord>::ALL.iter().all(|key| key.name != buffer.name) {
             return Vec::new();
         }
-        let records: &[PathRecord] = bytemuck::cast_slice(element);
-        records.iter().flat_map(PathRecord::describe).collect()
+        self.paths(element).iter().flat_map(PathRecord::describe).collect()
     }
 
     fn layers<'f>(
@@ -302,10 +320,18 @@ impl Technique for RestirPt {
         let shifts = buffer(passes::SHIFTS.name).unwrap_or(&[]);
         paths::layers(&Kept {
             size,
-            records: bytemuck::cast_slice(records),
+            records: &self.paths(records),
             shown: plan.constant(PARTS).unwrap_or(1) as usize - 1,
             shifts: bytemuck::cast_slice(shifts),
         })
+    }
+}
+
+/// Adds the passes of reuse with the estimator of `shade`.
+fn add<R: Records>(plan: &mut Builder<'_>, shade: Shade, settings: &Settings, initial: Initial) {
+    match shade {
+        Shade::Control => passes::add::<R, InTargetControl>(plan, settings, initial),
+        _ => passes::add::<R, InTarget>(plan, settings, initial),
     }
 }
 
@@ -328,38 +354,71 @@ impl WithFilter for Call<'_, '_, '_> {
         let connects = Connects::new(distance, technique.shift).by(technique.predicate).matt(matt);
         let retraces = fixed(RETRACES) != 0;
         let parts = fixed(PARTS);
-        let paths = Paths { frame: inputs, filter: &filter, connects, retraces, parts };
         if kernel == kernel::TILES {
             let large_steps = 0.0;
             let points = LightPoints::<F, true> { frame: inputs, filter: &filter, large_steps };
             return points.tiles(band);
         }
-        if kernel == reuse_kernel::INITIAL {
-            let limits = Limits {
-                depth: inputs.shot.depth.min(MOST_SEGMENTS),
-                roulette_after: technique.roulette_after,
-            };
-            let direct =
-                (technique.direct != Direct::Tree).then(|| technique.supply().sources(inputs));
-            return paths.initial(Fresh { walks: fixed(WALKS), limits, direct }, band);
-        }
-        let settings = technique.settings();
-        match technique.shade {
-            Shade::Control => reused(&Reuse::new(&paths, InTargetControl, settings), kernel, band),
-            _ => reused(&Reuse::new(&paths, InTarget, settings), kernel, band),
+        let frame = (inputs, &filter);
+        let Settings { kernel: step, .. } = technique.reuse;
+        let paths = Frame { connects, retraces, parts, step };
+        if technique.mutates() {
+            run(technique, &paths.of::<F, MutableRecord>(frame), kernel, band)
+        } else {
+            run(technique, &paths.of::<F, PathRecord>(frame), kernel, band)
         }
     }
 }
 
+/// What a frame's plan says of its paths.
+struct Frame {
+    connects: Connects,
+    retraces: bool,
+    parts: u32,
+    step: Kernel,
+}
+
+impl Frame {
+    fn of<'a, F, R>(&self, (frame, filter): (&'a FrameInputs<'a>, &'a F)) -> Paths<'a, F, R> {
+        let Self { connects, retraces, parts, step: kernel } = *self;
+        Paths { frame, filter, connects, retraces, parts, kernel, records: PhantomData }
+    }
+}
+
+/// A kernel, with the type of the records chosen.
+fn run<F: HitFilter + Sync, R: Records>(
+    technique: &RestirPt,
+    paths: &Paths<'_, F, R>,
+    kernel: u32,
+    band: &mut Band<'_>,
+) -> Counters {
+    let inputs = paths.frame;
+    if kernel == reuse_kernel::INITIAL {
+        let limits = Limits {
+            depth: inputs.shot.depth.min(MOST_SEGMENTS),
+            roulette_after: technique.roulette_after,
+        };
+        let direct = (technique.direct != Direct::Tree).then(|| technique.supply().sources(inputs));
+        let walks = inputs.plan.constant(WALKS).expect("the plan fixes what kernels ask for");
+        return paths.initial(Fresh { walks, limits, direct }, band);
+    }
+    let settings = technique.settings();
+    match technique.shade {
+        Shade::Control => reused(&Reuse::new(paths, InTargetControl, settings), kernel, band),
+        _ => reused(&Reuse::new(paths, InTarget, settings), kernel, band),
+    }
+}
+
 /// One of the passes that are the same for all domains.
-fn reused<F: HitFilter + Sync, P: Policy>(
-    reuse: &Reuse<'_, Paths<'_, F>, P>,
+fn reused<F: HitFilter + Sync, R: Records, P: Policy>(
+    reuse: &Reuse<'_, Paths<'_, F, R>, P>,
     kernel: u32,
     band: &mut Band<'_>,
 ) -> Counters {
     match kernel {
         reuse_kernel::TEMPORAL => reuse.temporal(band),
         reuse_kernel::BOILING => reuse.boiling(band),
+        reuse_kernel::MUTATE => reuse.mutate(band),
         reuse_kernel::SHADE => reuse.shade(band),
         round if round >= reuse_kernel::SHIFTS => {
             reuse.exchange(round - reuse_kernel::SHIFTS, band)
@@ -391,7 +450,8 @@ mod tests {
         for (technique, text) in [
             (RestirPt { trees: 0, ..d }, "`trees` is `0`, but must be an integer in [1, 1024]"),
             (RestirPt { reuse: Settings { rounds: 9, ..reuse }, ..d }, "in [1, 8]"),
-            (RestirPt { reuse: Settings { mutations: 1, ..reuse }, ..d }, "it must be 0"),
+            (RestirPt { reuse: Settings { mutations: 65, ..reuse }, ..d }, "in [0, 64]"),
+            (RestirPt { reuse: Settings { mutate_share: 0.5, ..reuse }, ..d }, "`mutations` is 0"),
             (RestirPt { reuse: Settings { decoupled: true, ..reuse }, ..d }, "but `shade` says"),
             (
                 RestirPt {
@@ -405,7 +465,7 @@ mod tests {
             let error = FrameLoop::new(Arc::new(technique), &stage(), shot(2)).unwrap_err();
             assert!(error.to_string().contains(text), "{technique:?}: {error}");
         }
-        assert!(parse("restir-pt:mutations=1").is_err());
+        assert!(parse("restir-pt:mutations=1,mutate-share=0").is_err());
         let offline = parse("restir-pt:rounds=2,preset=offline").unwrap();
         let as_said = "restir-pt:trees=32,cap=0,neighbours=6,radius=10,rounds=2";
         assert_eq!(offline.spec(), as_said);

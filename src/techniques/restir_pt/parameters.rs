@@ -1,10 +1,10 @@
 //! The parameters of `restir-pt`.
 
 use super::RestirPt;
-use crate::reuse::Settings;
 use crate::reuse::light_points::LightTiles;
 use crate::reuse::parameters::reuse_rows;
 use crate::reuse::paths::{Predicate, ShiftKind};
+use crate::reuse::{Kernel, Settings};
 use crate::spec::{Choice, Field, Row, row};
 
 /// Where direct light comes from: light that comes straight to the primary hit and leaves it by a
@@ -185,8 +185,20 @@ pub(super) fn rows() -> Vec<Row<RestirPt>> {
         number reuse.duplicates: 0.0..=1.0,
         "how much less history counts where pixels nearby carry the same path; 0 is off; biased"
     ));
-    // Paths are not mutated, and `shade` says how they are shown.
-    let ours = |row: &Row<RestirPt>| !["mutations", "decoupled"].contains(&row.key);
+    rows.push(row!(
+        RestirPt,
+        "kernel",
+        choice reuse.kernel: Kernel,
+        "how a mutation steps: log-uniform (Kelemen et al. 2002) or normal"
+    ));
+    rows.push(row!(
+        RestirPt,
+        "mutate-share",
+        number reuse.mutate_share: 0.001..=1.0,
+        "share of the pixels that are mutated in a frame; less is less time"
+    ));
+    // `shade` says how paths are shown.
+    let ours = |row: &Row<RestirPt>| row.key != "decoupled";
     rows.extend(reuse_rows!(RestirPt, reuse).into_iter().filter(ours));
     rows
 }

@@ -4,7 +4,7 @@
 use crate::resampling::Family;
 use crate::techniques::{Moving, Rung};
 
-/// From trees alone to all of reuse under a moving camera.
+/// From trees alone to all of reuse, mutations among it, while anything moves.
 pub(super) const RUNGS: &[Rung] = &[
     Rung::new("initial", "cap=0,neighbours=0,shade=selected", Moving::Still),
     Rung::new("initial, tree", "cap=0,neighbours=0,shade=selected,direct=tree", Moving::Still),
@@ -34,6 +34,21 @@ pub(super) const RUNGS: &[Rung] = &[
     Rung::new("all moves, footprint", "predicate=footprint", Moving::All),
     Rung::new("all moves, paired", "taps=pairs,neighbours=3", Moving::All),
     Rung::new("all moves, selected", "shade=selected", Moving::All),
+    Rung::new("temporal, mutated", "neighbours=0,mutations=1", Moving::Still),
+    Rung::new("temporal, mutated 5", "neighbours=0,mutations=5", Moving::Still),
+    Rung::new("full, mutated", "mutations=1", Moving::Still),
+    Rung::new("full, mutated 5", "mutations=5", Moving::Still),
+    Rung::new("paired, mutated", "taps=pairs,neighbours=3,mutations=1", Moving::Still),
+    Rung::new("paired, mutated 5", "taps=pairs,neighbours=3,mutations=5", Moving::Still),
+    Rung::new("moving camera, mutated", "mutations=1", Moving::Camera),
+    Rung::new("moving camera, mutated 5", "mutations=5", Moving::Camera),
+    Rung::new("moving light, mutated", "mutations=1", Moving::Light),
+    Rung::new("moving light, mutated 5", "mutations=5", Moving::Light),
+    Rung::new("moving occluder, mutated", "mutations=1", Moving::Occluder),
+    Rung::new("moving occluder, mutated 5", "mutations=5", Moving::Occluder),
+    Rung::new("all moves, mutated", "mutations=1", Moving::All),
+    Rung::new("all moves, mutated 5", "mutations=5", Moving::All),
+    Rung::new("all moves, paired, mutated", "taps=pairs,neighbours=3,mutations=1", Moving::All),
 ];
 
 /// Every family of MIS weights, every filter.
@@ -62,6 +77,10 @@ pub(super) fn variants() -> Vec<String> {
         "boiling=0.2,max-age=60",
         "preset=offline,trees=2",
         "preset=interactive",
+        "mutations=2",
+        "mutations=5,kernel=gaussian,mutate-share=0.5,neighbours=0,shade=selected",
+        "mutations=1,direct=separate,taps=pairs,neighbours=2",
+        "mutations=1,predicate=footprint,direct=tree",
     ] {
         all.push(keys.to_string());
     }
