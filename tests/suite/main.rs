@@ -38,6 +38,7 @@ mod planted;
 mod planted_reuse;
 mod references;
 mod reuse;
+mod statements;
 mod stored;
 mod stress;
 mod style;

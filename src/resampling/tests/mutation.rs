@@ -100,6 +100,21 @@ fn the_number_of_steps_does_not_know_the_sample() {
     assert_close(by_state, 15_979.0 / 2160.0);
 }
 
+/// Fickel's blue-noise acceptance (2023, with its weight 1) asks how a picture would
+/// look, and not the target: with the least of such rules, which accepts all, the pixel's luminance
+/// is right (as `mean` asserts), its colour is not.
+#[test]
+fn blue_noise_acceptance_is_biased_in_colour() {
+    let all = |state, _, random: &mut _| metropolis(&mut ring(|_, _| 1.0), state, 1, random).state;
+    assert_close(mean(all), 23.0);
+    let luminance = enumerate_f64(|random| {
+        let (before, weight) = drawn(random);
+        let after = metropolis(&mut ring(|_, _| 1.0), before, 1, random).state;
+        f64::from(TARGET[after] * mutated_weight(weight, TARGET[before], TARGET[after]))
+    });
+    assert_close(expectation(&luminance, |&value| value), 11.0);
+}
+
 /// A mutator that never leaves {0, 1}, and stays elsewhere.
 struct Class;
 

@@ -172,30 +172,39 @@ impl<F: HitFilter + Sync, R: Records> Paths<'_, F, R> {
         random: &mut Stream,
         counters: &mut Counters,
     ) {
+        let walk = (seed, fresh.walks);
+        let limits = (fresh.limits, fresh.direct.is_none());
+        let reservoir = &mut filling.reservoir;
+        let sum = if R::MUTABLE {
+            self.grow::<true>(walk, primary, limits, reservoir, random, counters)
+        } else {
+            self.grow::<false>(walk, primary, limits, reservoir, random, counters)
+        };
+        filling.sum += sum / fresh.walks as f32;
+    }
+
+    /// Streams the paths of a walk into a reservoir, those of direct light too if the limits say
+    /// so, and returns the light of all of them.
+    #[inline]
+    fn grow<const MUTABLE: bool>(
+        &self,
+        (seed, walks): (u64, u32),
+        primary: (Vec3, &Hit),
+        (limits, direct): (Limits, bool),
+        reservoir: &mut Plain<PathSample>,
+        random: &mut Stream,
+        counters: &mut Counters,
+    ) -> Vec3 {
         let world = self.frame.world;
         let steps = Steps::<{ sampled::ONE }, F> { world, filter: self.filter };
-        let (walks, limits) = (fresh.walks, fresh.limits);
         let how = (seed, walks);
-        let sum = if R::MUTABLE {
-            let reservoir = &mut filling.reservoir;
-            let mut tree = Tree::<_, true>::new(world, self.connects, how, reservoir, random);
-            if fresh.direct.is_some() {
-                walk::<_, false, F>(&steps, seed, primary, limits, &mut tree, counters);
-            } else {
-                walk::<_, true, F>(&steps, seed, primary, limits, &mut tree, counters);
-            }
-            tree.sum
+        let mut tree = Tree::<_, MUTABLE>::new(world, self.connects, how, reservoir, random);
+        if direct {
+            walk::<_, true, F>(&steps, seed, primary, limits, &mut tree, counters);
         } else {
-            let reservoir = &mut filling.reservoir;
-            let mut tree = Tree::<_, false>::new(world, self.connects, how, reservoir, random);
-            if fresh.direct.is_some() {
-                walk::<_, false, F>(&steps, seed, primary, limits, &mut tree, counters);
-            } else {
-                walk::<_, true, F>(&steps, seed, primary, limits, &mut tree, counters);
-            }
-            tree.sum
-        };
-        filling.sum += sum / walks as f32;
+            walk::<_, false, F>(&steps, seed, primary, limits, &mut tree, counters);
+        }
+        tree.sum
     }
 }
 
