@@ -32,7 +32,7 @@ impl Control {
         }
         // largest < 2^exponent, so mantissas are below 2^15, or round to it, which does not fit.
         let exponent = exponent_above(largest);
-        let scale = f64::from(15 - exponent).exp2();
+        let scale = power_of_two(15 - exponent);
         let mantissas = estimate
             .to_array()
             .map(|v| (f64::from(v) * scale).round().clamp(-32767.0, 32767.0) as i16);
@@ -44,7 +44,7 @@ impl Control {
     #[must_use]
     pub fn estimate(self) -> Vec3 {
         let exponent = i32::from(self.flags & 0x7FFF) - BIAS;
-        let scale = f64::from(exponent - 15).exp2();
+        let scale = power_of_two(exponent - 15);
         Vec3::from(self.mantissas.map(|m| (f64::from(m) * scale) as f32))
     }
 
@@ -54,6 +54,12 @@ impl Control {
     pub fn visible(self) -> bool {
         self.flags >> 15 != 0
     }
+}
+
+/// 2^e for normal results; below, as for a record of zeros, the least normal number.
+#[inline]
+fn power_of_two(e: i32) -> f64 {
+    f64::from_bits(((e.max(-1022) + 1023) as u64) << 52)
 }
 
 /// The smallest e with |x| < 2^e, for positive finite x.

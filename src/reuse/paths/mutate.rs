@@ -35,12 +35,13 @@ use super::replay::Replay;
 use super::shift::{Connected, Left, PathReceiver, PathShift};
 use super::suffix::{Lit, Suffix};
 use super::{Anchor, NO_LOBE, PathSample, Place, Reconnection};
-use crate::accel::{Hit, HitFilter};
+use crate::accel::{Hit, HitFilter, HitPoint};
 use crate::light::LightPoint;
 use crate::math::luminance;
 use crate::math::rng::RandomSource;
 use crate::path::{Steps, Vertex, sampled};
 use crate::resampling::{Mutator, Proposal, SmallStep};
+use crate::world::World;
 
 /// A chain's state: a path whose `x_r` may have moved.
 #[derive(Clone, Copy, Debug)]
@@ -67,6 +68,39 @@ impl PathState {
     }
 }
 
+/// What follows `x_r`, which stays while `x_r` moves.
+#[derive(Debug)]
+enum Following {
+    /// Nothing: `x_r` is the end.
+    Nothing,
+    Sky,
+    Light(LightPoint),
+    /// The emitter that ends the path.
+    Emitter(HitPoint),
+    /// A vertex. Only the direction that it is met from changes.
+    Vertex(HitPoint, Vertex),
+}
+
+impl Following {
+    fn new(world: &World, sample: &PathSample, kept: &Reconnection) -> Option<Self> {
+        if !matches!(kept.anchor, Anchor::Surface(_)) || kept.vertex > sample.last {
+            return Some(Self::Nothing);
+        }
+        Some(match kept.next.place()? {
+            Place::Sky => Self::Sky,
+            Place::Light(point) => Self::Light(point),
+            Place::Surface(hit) => {
+                let point = world.accel.point(&hit);
+                if kept.vertex == sample.last {
+                    return Some(Self::Emitter(point));
+                }
+                let vertex = Vertex::new(world, &hit, &point, kept.direction)?;
+                Self::Vertex(point, vertex)
+            }
+        })
+    }
+}
+
 /// The kernel for one path at its primary hit, with steps of `K`.
 #[derive(Debug)]
 pub struct PathMutator<'s, 'a, F, K> {
@@ -76,6 +110,7 @@ pub struct PathMutator<'s, 'a, F, K> {
     kept: Reconnection,
     /// The path up to `v_{r−1}`.
     replay: Replay,
+    following: Following,
     kernel: std::marker::PhantomData<K>,
 }
 
@@ -88,14 +123,12 @@ impl<'s, 'a, F: HitFilter, K: SmallStep> PathMutator<'s, 'a, F, K> {
         sample: &PathSample,
     ) -> Option<(Self, PathState)> {
         let kept = sample.reconnection?;
-        if matches!(kept.anchor, Anchor::Surface(_)) && kept.vertex <= sample.last {
-            kept.next.place()?;
-        }
+        let following = Following::new(receiver.world, sample, &kept)?;
         let steps = Steps { world: receiver.world, filter: shift.filter };
         let end = u32::from(kept.vertex) - 1;
         let replay = shift.replay(&steps, sample.seed, receiver, end).ok()?;
-        let mut mutator =
-            Self { shift, steps, sample: *sample, kept, replay, kernel: std::marker::PhantomData };
+        let (sample, kernel) = (*sample, std::marker::PhantomData);
+        let mut mutator = Self { shift, steps, sample, kept, replay, following, kernel };
         let state = mutator.begin().ok()?;
         Some((mutator, state))
     }
@@ -185,7 +218,7 @@ impl<'s, 'a, F: HitFilter, K: SmallStep> PathMutator<'s, 'a, F, K> {
 
     /// The path through a vertex that scatters, its M, and what must see each other for it.
     #[expect(clippy::type_complexity, reason = "a state and a ray")]
-    fn on_surface(&self, hit: &Hit) -> Result<((Connected, f32), (Vertex, Sight)), Failure> {
+    fn on_surface(&mut self, hit: &Hit) -> Result<((Connected, f32), (Vertex, Sight)), Failure> {
         let world = self.steps.world;
         let (kept, last) = (&self.kept, self.kept.vertex == self.sample.last);
         let (shift, replay) = (&*self.shift, &self.replay);
@@ -202,7 +235,9 @@ impl<'s, 'a, F: HitFilter, K: SmallStep> PathMutator<'s, 'a, F, K> {
         if !shift.connects.second(bsdf, lobe) {
             return Err(Failure::Near);
         }
-        let Behind { suffix, onward, end, measure } = self.behind(&vertex, last)?;
+        let path = (&self.sample, kept);
+        let behind = Behind::new(world, shift, &mut self.following, path, &vertex)?;
+        let Behind { suffix, onward, end, measure } = behind;
         let there = onward.total;
         if !replay.trail.onward(&shift.connects, &way, bsdf, there.pdf) {
             return Err(Failure::Near);
@@ -229,55 +264,6 @@ impl<'s, 'a, F: HitFilter, K: SmallStep> PathMutator<'s, 'a, F, K> {
         };
         Ok(((path, onward.joint * measure), (vertex, (direction, end))))
     }
-
-    /// What follows a new `x_r`, if nothing stands between.
-    fn behind(&self, vertex: &Vertex, last: bool) -> Result<Behind, Failure> {
-        let (world, kept) = (self.steps.world, &self.kept);
-        let next = kept.next;
-        let from = vertex.surface.position;
-        let mut suffix = Suffix::kept(&self.sample, kept);
-        let hit = match next.place().ok_or(Failure::Length)? {
-            Place::Light(point) => {
-                let Lit { suffix, scattered, density, end } = Lit::new(world, vertex, point)?;
-                let onward = Onward { total: scattered, joint: 1.0 };
-                return Ok(Behind { suffix, onward, end, measure: density });
-            }
-            Place::Sky => {
-                let onward = onward_from(vertex, kept.lobes[1], kept.direction)?;
-                return Ok(Behind { suffix, onward, end: None, measure: 1.0 });
-            }
-            Place::Surface(hit) => hit,
-        };
-        let point = world.accel.point(&hit);
-        let way = point.position - from;
-        let squared = way.length_squared();
-        if squared == 0.0 {
-            return Err(Failure::Near);
-        }
-        let direction = way / squared.sqrt();
-        let onward = onward_from(vertex, kept.lobes[1], direction)?;
-        let geometry = direction.dot(point.geometric_normal).abs() / squared;
-        let mut measure = geometry;
-        if last {
-            let met = Met::new(world, from, direction, &point)?;
-            (suffix.radiance, suffix.light_density) = (met.emission, met.density);
-        } else {
-            let there = Vertex::new(world, &hit, &point, direction).ok_or(Failure::Back)?;
-            let samples_light = next.lobe() == NO_LOBE;
-            let left = if samples_light {
-                onward_from(&there, NO_LOBE, next.direction())?
-            } else {
-                let (total, joint) = self.shift.turned(&there, &next)?;
-                Onward { total, joint }
-            };
-            measure *= left.joint;
-            let last = kept.vertex + 1 == self.sample.last;
-            let leaves = Leaves::new(samples_light, self.sample.ending, last);
-            suffix.radiance = leaves.made_of(&left.total, next.radiance(), next.light_density());
-        }
-        suffix.direction = direction;
-        Ok(Behind { suffix, onward, end: Some(end_at(&point, direction)), measure })
-    }
 }
 
 /// What follows `x_r`.
@@ -288,6 +274,61 @@ struct Behind {
     end: Option<Vec3>,
     /// M without p(`ω_r`, `ℓ_r`).
     measure: f32,
+}
+
+impl Behind {
+    /// What follows a new `x_r` at `vertex`, if nothing stands between.
+    #[inline]
+    fn new<F: HitFilter>(
+        world: &World,
+        shift: &PathShift<'_, F>,
+        following: &mut Following,
+        (sample, kept): (&PathSample, &Reconnection),
+        vertex: &Vertex,
+    ) -> Result<Self, Failure> {
+        let (next, from) = (kept.next, vertex.surface.position);
+        let mut suffix = Suffix::kept(sample, kept);
+        let point = match following {
+            Following::Nothing => return Err(Failure::Length),
+            Following::Light(point) => {
+                let Lit { suffix, scattered, density, end } = Lit::new(world, vertex, *point)?;
+                let onward = Onward { total: scattered, joint: 1.0 };
+                return Ok(Behind { suffix, onward, end, measure: density });
+            }
+            Following::Sky => {
+                let onward = onward_from(vertex, kept.lobes[1], kept.direction)?;
+                return Ok(Behind { suffix, onward, end: None, measure: 1.0 });
+            }
+            Following::Emitter(point) | Following::Vertex(point, _) => *point,
+        };
+        let way = point.position - from;
+        let squared = way.length_squared();
+        if squared == 0.0 {
+            return Err(Failure::Near);
+        }
+        let direction = way / squared.sqrt();
+        let onward = onward_from(vertex, kept.lobes[1], direction)?;
+        let mut measure = direction.dot(point.geometric_normal).abs() / squared;
+        if let Following::Vertex(_, there) = following {
+            there.outgoing = there.surface.frame.to_local(-direction);
+            let samples_light = next.lobe() == NO_LOBE;
+            let left = if samples_light {
+                onward_from(there, NO_LOBE, next.direction())?
+            } else {
+                let (total, joint) = shift.turned(there, &next)?;
+                Onward { total, joint }
+            };
+            measure *= left.joint;
+            let last = kept.vertex + 1 == sample.last;
+            let leaves = Leaves::new(samples_light, sample.ending, last);
+            suffix.radiance = leaves.made_of(&left.total, next.radiance(), next.light_density());
+        } else {
+            let met = Met::new(world, from, direction, &point)?;
+            (suffix.radiance, suffix.light_density) = (met.emission, met.density);
+        }
+        suffix.direction = direction;
+        Ok(Behind { suffix, onward, end: Some(end_at(&point, direction)), measure })
+    }
 }
 
 /// A state, if A is a number that a chain can divide by: the same test for the state that a chain
