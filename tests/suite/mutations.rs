@@ -3,16 +3,19 @@
 
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Instant;
 
 use afterimage::frame::{FrameLoop, Stage};
 use afterimage::metrics::{Comparison, covariance_r8};
 use afterimage::picture::Picture;
-use afterimage::scene::load;
+use afterimage::plan::Filter;
+use afterimage::scene::{Scene, load};
 use afterimage::stats::Moments;
 use afterimage::techniques::parse;
 use glam::Vec3;
 
-use crate::support::{last_frame, shot};
+use crate::references::shared;
+use crate::support::{last_frame, look_at, shot};
 
 /// Restarts of each SPEC.
 const RESTARTS: u64 = 96;
@@ -105,5 +108,110 @@ fn covariance_falls_and_the_error_stays() {
         }
         let control = covariance(&pictures(&stage, base, size, other));
         assert!(control.interval(0.95).1 >= least, "{scene}: the control looks like a fall");
+    }
+}
+
+/// What K restarts of a SPEC show at frame 50.
+struct Shown {
+    pictures: Vec<Picture>,
+    /// Share of pixels around that carry the same path.
+    duplicates: Moments,
+    /// Of a frame, without the first.
+    seconds: f64,
+}
+
+fn shown(stage: &Stage, spec: &str, size: [u32; 2], restarts: u64) -> Shown {
+    let technique: Arc<dyn afterimage::techniques::Technique> = Arc::from(parse(spec).unwrap());
+    let shot = afterimage::plan::Shot { filter: Filter::Point, ..shot(size, 8, 1) };
+    let mut frames = FrameLoop::new(Arc::clone(&technique), stage, shot).unwrap();
+    let plan = frames.plan().clone();
+    let mut shown = Shown { pictures: Vec::new(), duplicates: Moments::default(), seconds: 0.0 };
+    for run in 0..restarts {
+        frames.restart(40_000 + run);
+        frames.render().unwrap();
+        let begin = Instant::now();
+        for _ in 2..50 {
+            frames.render().unwrap();
+        }
+        shown.seconds += begin.elapsed().as_secs_f64() / 48.0;
+        let frame = frames.render().unwrap();
+        shown.pictures.push(frame.picture());
+        if run < 32 {
+            let layers = technique.layers(&plan, size, &|name| frame.buffer(name));
+            let found = layers.iter().find(|(name, _)| *name == "duplicates").unwrap();
+            let share = found.1.iter().sum::<f32>() / found.1.len() as f32;
+            shown.duplicates.push(f64::from(share));
+        }
+    }
+    shown.seconds /= restarts as f64;
+    shown
+}
+
+/// The scenes of the thesis as far as they are at hand, small, with their sizes.
+fn scenes_of_the_thesis() -> Vec<(&'static str, Scene, [u32; 2])> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let scene = |path: &Path| load::load(path).unwrap().scene;
+    let mut all = vec![("slit", scene(&root.join("scenes/slit.pbrt")), [64, 36])];
+    if let Some(path) = shared("scenes/cornell-box/scene.pbrt") {
+        all.insert(0, ("cornell-box", scene(&path), [48, 48]));
+    }
+    if let Some(path) = shared("scenes/veach-ajar/scene.pbrt") {
+        let mut ceiling = scene(&path);
+        let to_world = ceiling.camera.to_world.fixed();
+        let from = Vec3::from(to_world.translation);
+        let along = to_world.transform_vector3(Vec3::Z).normalize();
+        let fov = ceiling.camera.fov;
+        ceiling.camera = look_at(from, from + along + 0.6 * Vec3::Y, fov);
+        all.push(("veach-ajar, ceiling", ceiling, [64, 36]));
+    }
+    all
+}
+
+/// Relative covariance within 8 pixels, squared error paired by seed, duplicates and time of 0, 1
+/// and 5 mutations of paths, at the last of 50 frames with a long history and three neighbours. The
+/// truth is the mean of all pictures, since none is biased.
+#[test]
+#[ignore = "long: half an hour; its table stands in docs/mutations.md"]
+fn long_covariance_of_paths() {
+    let restarts = 350;
+    for (scene, content, size) in scenes_of_the_thesis() {
+        let stage = Stage::new(content).unwrap();
+        let base = "restir-pt:cap=50,neighbours=3";
+        let all = [0, 1, 5].map(|n| {
+            let shown = shown(&stage, &format!("{base},mutations={n}"), size, restarts);
+            (n, shown)
+        });
+        let mut truth = vec![Vec3::ZERO; (size[0] * size[1]) as usize];
+        for picture in all.iter().flat_map(|(_, shown)| &shown.pictures) {
+            let share = 1.0 / (3 * restarts) as f32;
+            truth.iter_mut().zip(&picture.pixels).for_each(|(sum, pixel)| *sum += *pixel * share);
+        }
+        let truth = Picture::new(size[0], size[1], truth);
+        let mse = |p: &Picture| Comparison::new(p, &truth, None).unwrap().mse();
+        let relmse = |p: &Picture| Comparison::new(p, &truth, None).unwrap().relmse();
+        let reference = covariance_r8(&all[0].1.pictures, &truth, None).unwrap();
+        for (n, shown) in &all {
+            let covariance = covariance_r8(&shown.pictures, &truth, None).unwrap();
+            let (low, high) = covariance.interval(0.95);
+            let z = (reference.mean - covariance.mean)
+                / (reference.variance + covariance.variance).sqrt();
+            let pairs = all[0].1.pictures.iter().zip(&shown.pictures);
+            let change: Moments = pairs.map(|(a, b)| (mse(b) / mse(a)).sqrt() - 1.0).collect();
+            let (least, most) = change.estimate().interval(0.95);
+            let relmse: Moments = shown.pictures.iter().map(relmse).collect();
+            println!(
+                "{scene} | {n} | {:.3e} [{low:.3e}, {high:.3e}] | {:+.1} % | z {z:.2} | rmse {:+.2} % [{:+.2}, {:+.2}] | duplicates {:.4} | {:.2} ms | relmse {:.4} ± {:.4} | times ms {:.4}",
+                covariance.mean,
+                100.0 * (covariance.mean / reference.mean - 1.0),
+                100.0 * change.mean(),
+                100.0 * least,
+                100.0 * most,
+                shown.duplicates.mean(),
+                1e3 * shown.seconds,
+                relmse.mean(),
+                1.96 * (relmse.variance() / relmse.count() as f64).sqrt(),
+                1e3 * shown.seconds * relmse.mean(),
+            );
+        }
     }
 }

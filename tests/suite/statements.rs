@@ -112,7 +112,7 @@ fn mutations_lead_from_equation_17_to_equation_11() {
     }
 }
 
-/// The picture in docs/restir_pt.md.
+/// The picture in `docs/mutations.md`.
 fn picture() -> String {
     let [left, top, width, height] = [70.0, 30.0, 480.0, 250.0];
     let most = 3.2;

@@ -70,6 +70,7 @@ impl PathState {
 
 /// What follows `x_r`, which stays while `x_r` moves.
 #[derive(Debug)]
+#[expect(clippy::large_enum_variant, reason = "one a chain, which is never moved")]
 enum Following {
     /// Nothing: `x_r` is the end.
     Nothing,
@@ -293,11 +294,11 @@ impl Behind {
             Following::Light(point) => {
                 let Lit { suffix, scattered, density, end } = Lit::new(world, vertex, *point)?;
                 let onward = Onward { total: scattered, joint: 1.0 };
-                return Ok(Behind { suffix, onward, end, measure: density });
+                return Ok(Self { suffix, onward, end, measure: density });
             }
             Following::Sky => {
                 let onward = onward_from(vertex, kept.lobes[1], kept.direction)?;
-                return Ok(Behind { suffix, onward, end: None, measure: 1.0 });
+                return Ok(Self { suffix, onward, end: None, measure: 1.0 });
             }
             Following::Emitter(point) | Following::Vertex(point, _) => *point,
         };
@@ -327,7 +328,7 @@ impl Behind {
             (suffix.radiance, suffix.light_density) = (met.emission, met.density);
         }
         suffix.direction = direction;
-        Ok(Behind { suffix, onward, end: Some(end_at(&point, direction)), measure })
+        Ok(Self { suffix, onward, end: Some(end_at(&point, direction)), measure })
     }
 }
 
