@@ -6,13 +6,16 @@ use afterimage::accel::AcceptAll;
 use afterimage::counters::Counters;
 use afterimage::frame::{FrameLoop, Stage};
 use afterimage::math::rng::{Stream, path_seed};
+use afterimage::path::Vertex;
 use afterimage::plan::{Filter, Shot};
 use afterimage::resampling::{Family, ShiftMap, Shifted};
 use afterimage::reuse::light_points::Time;
-use afterimage::reuse::paths::{Anchor, Failure, PathReceiver, PathSample, PathShift};
+use afterimage::reuse::paths::{
+    Anchor, Failure, NO_LOBE, PathReceiver, PathSample, PathShift, Place,
+};
 use afterimage::scene::{LightKind, Scene, Transform};
 use afterimage::techniques::{Technique, parse};
-use afterimage::world::Motion;
+use afterimage::world::{Motion, World};
 use glam::{Affine3A, Quat, Vec3};
 
 use crate::course::{Course, Look, assert_unbiased};
@@ -182,6 +185,78 @@ fn round_trips_between_frames() {
     for reason in [Failure::ObjectGone, Failure::LightGone, Failure::Length, Failure::Occluded] {
         assert!(*reason.counter(&mut work) > 0, "{reason:?}: {work:?}");
     }
+}
+
+/// What the direction that a mutable path keeps at `v_{r+1}`, or the point on a light that it keeps
+/// at `v_r`, is worth: its density there. 1 where nothing of the kind is kept.
+fn worth(world: &World, sample: &PathSample) -> f64 {
+    let kept = sample.reconnection.unwrap();
+    let Anchor::Surface(hit) = kept.anchor else { return 1.0 };
+    match kept.next.place() {
+        Some(Place::Light(point)) => {
+            let from = world.surface(&hit).position;
+            let emitter = world.lights.emitter(&world.scene, point).unwrap();
+            let geometry = emitter.towards(&world.lights, from).unwrap().geometry;
+            f64::from(world.lights.density_towards(point, from, geometry))
+                * f64::from(world.lights.measure(point))
+        }
+        Some(Place::Surface(next)) if kept.vertex < sample.last && kept.next.lobe() != NO_LOBE => {
+            let point = world.accel.point(&next);
+            let vertex = Vertex::new(world, &next, &point, kept.direction).unwrap();
+            let lobe = u32::from(kept.next.lobe());
+            if vertex.surface.bsdf.lobe_roughness(lobe) < CONNECTS.roughness {
+                return 1.0;
+            }
+            let wi = vertex.surface.frame.to_local(kept.next.direction());
+            f64::from(vertex.surface.bsdf.evaluate_lobe(lobe, vertex.outgoing, wi).pdf)
+        }
+        _ => 1.0,
+    }
+}
+
+/// What a path keeps behind `x_r` where paths are mutated enters |∂T| with the ratio of its
+/// densities, whether the path was mutated or not.
+#[test]
+fn what_is_kept_counts_by_its_density() {
+    let (mut lights, mut turns, mut worst) = (0, 0, 0.0_f64);
+    for (before, now) in pairs() {
+        let (before, now, motion) = frames(&before, &now);
+        let worlds = [&before, &now].map(|stage| stage.first_world());
+        let (sources, all) =
+            (receivers_at(worlds[0], Time::Before), receivers_at(worlds[1], Time::Now));
+        let mut random = Stream::from_key(23);
+        let mut shift =
+            PathShift::new(&AcceptAll, CONNECTS, Some(&motion)).retracing(true).mutable(true);
+        for (pixel, from) in sources.iter().enumerate() {
+            for walk in 0..48 {
+                let seed = path_seed(23, pixel as u32, 0, walk);
+                let drawn = drawn_and_moved(worlds[0], from, seed, &mut random);
+                let Some(sample) = drawn.sample else { continue };
+                let to = &all[(pixel + [0, 1, 24][walk as usize % 3]) % all.len()];
+                let Some(shifted) = shift.shift(&sample, from, to) else { continue };
+                let kept = sample.reconnection.filter(|kept| kept.vertex <= sample.last);
+                let Some(kept) = kept else { continue };
+                let Anchor::Surface(hit) = kept.anchor else { continue };
+                // The ratio of areas is another test's.
+                let there = motion.current_instance(hit.instance).unwrap();
+                let placed =
+                    |world: &World, at: u32| world.scene.instances[at as usize].to_world.fixed();
+                if placed(worlds[0], hit.instance) != placed(worlds[1], there) {
+                    continue;
+                }
+                let densities = shifted.sample.reconnection.unwrap().density / kept.density;
+                let found = f64::from(shifted.jacobian) / f64::from(densities);
+                let ratio = worth(worlds[1], &shifted.sample) / worth(worlds[0], &sample);
+                worst = worst.max((found / ratio - 1.0).abs());
+                assert!((found / ratio - 1.0).abs() < 1e-3, "{found}, {ratio}: {sample:?}");
+                let by_light = matches!(kept.next.place(), Some(Place::Light(_)));
+                let counts = if by_light { &mut lights } else { &mut turns };
+                *counts += u32::from((ratio - 1.0).abs() > 0.01);
+            }
+        }
+    }
+    println!("{lights} points and {turns} directions whose density changes, worst {worst:e}");
+    assert!(lights > 50 && turns > 50, "{lights} points, {turns} directions");
 }
 
 /// What a pixel shows that merges the path of the previous frame is what its own paths show: with

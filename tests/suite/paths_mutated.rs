@@ -427,6 +427,56 @@ fn chains_meet_only_numbers() {
     assert!(stays > 1000 && accepted > 1000, "{stays} stay, {accepted} move");
 }
 
+/// A path that was moved is one that a walk could have found: a shift to where it is gives the same
+/// F and |∂T| = 1, and its `x_r` is left by a lobe that is rough there.
+#[test]
+fn moved_paths_are_paths() {
+    let (mut all, mut off, mut smooth) = (0, 0, 0);
+    for scene in [matt(), rooms()[1].clone(), textured()] {
+        let stage = Stage::new(scene).unwrap();
+        let world = stage.first_world();
+        let mut random = Stream::from_key(44);
+        let mut shift = PathShift::new(&AcceptAll, CONNECTS, None);
+        for (pixel, at) in receivers_at(world, Time::Now).iter().enumerate() {
+            for walk in 0..48 {
+                let seed = path_seed(44, pixel as u32, 0, walk);
+                let path = fresh(at, seed, walk % 8 == 7, &mut random);
+                let moved = moved::<Anywhere>(&mut shift, at, &path, (2, &mut random), right, true);
+                let Some(after) = moved.and_then(|moved| moved.path.sample) else { continue };
+                if Some(after) == path.sample {
+                    continue;
+                }
+                all += 1;
+                let again = shift.try_shift(&after, at, &at.clone());
+                let same = again.is_ok_and(|again| {
+                    (again.sample.target() / after.target() - 1.0).abs() < 1e-3
+                        && (again.jacobian - 1.0).abs() < 1e-3
+                });
+                off += u32::from(!same);
+                let kept = after.reconnection.unwrap();
+                if let Anchor::Surface(hit) = kept.anchor
+                    && kept.vertex <= after.last
+                {
+                    let bsdf = world.surface(&hit).bsdf;
+                    let lobes = 0..bsdf.lobe_count();
+                    let rough = |lobe: u32| bsdf.lobe_roughness(lobe) >= CONNECTS.roughness;
+                    let taken = u32::from(kept.lobes[1]);
+                    let one = if kept.lobes[1] == NO_LOBE {
+                        lobes.clone().any(rough)
+                    } else {
+                        rough(taken)
+                    };
+                    assert!(one, "x_r is not rough: {after:?}");
+                    smooth += u32::from(lobes.into_iter().any(|lobe| !rough(lobe)));
+                }
+            }
+        }
+    }
+    println!("{all} moved, {off} are other paths to rounding, {smooth} beside a smooth lobe");
+    // Rounding turns few of them over a threshold.
+    assert!(all > 10_000 && f64::from(off) < 0.002 * f64::from(all), "{off} of {all}");
+}
+
 fn frames(scene: &Scene, spec: &str, count: u32) -> (Vec<Vec3>, Counters) {
     let stage = Stage::new(scene.clone()).unwrap();
     let technique: Arc<dyn Technique> = Arc::from(parse(spec).unwrap());
