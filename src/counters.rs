@@ -98,4 +98,14 @@ counters! {
     failed_object_gone,
     /// Shifts of paths that failed since a product is not finite there.
     failed_not_finite,
+    /// Directions that lobes drew.
+    lobe_draws,
+    /// Of these, directions that found light.
+    lobe_hits,
+    /// Moves of lobes' chains to another sample.
+    chain_moves,
+    /// Pixels that leave a lobe to the next frame.
+    lobes,
+    /// Scores of lobes that were not positive numbers: the sample is shown, and nothing learnt.
+    scores_rejected,
 }

@@ -48,6 +48,8 @@ pub enum Field<T: 'static> {
     Integer(RangeInclusive<u32>, fn(&mut T) -> &mut u32),
     /// A number.
     Number(RangeInclusive<f32>, fn(&mut T) -> &mut f32),
+    /// A number, or a name in place of it, which is `None`.
+    Optional(&'static str, RangeInclusive<f32>, fn(&mut T) -> &mut Option<f32>),
     /// One of a set of names, by its place among them.
     Choice(fn() -> Vec<&'static str>, fn(&T) -> usize, fn(&mut T, usize)),
 }
@@ -61,6 +63,15 @@ macro_rules! row {
             key: $key,
             about: $about,
             field: $crate::spec::Field::Number($range, |technique: &mut $type| {
+                &mut technique.$($field).+
+            }),
+        }
+    };
+    ($type:ty, $key:literal, optional $name:literal $($field:ident).+: $range:expr, $about:expr) => {
+        $crate::spec::Row {
+            key: $key,
+            about: $about,
+            field: $crate::spec::Field::Optional($name, $range, |technique: &mut $type| {
                 &mut technique.$($field).+
             }),
         }
@@ -95,6 +106,10 @@ impl<T: Clone> Row<T> {
         match &self.field {
             Field::Integer(_, field) => field(&mut copy).to_string(),
             Field::Number(_, field) => field(&mut copy).to_string(),
+            Field::Optional(name, _, field) => match field(&mut copy) {
+                Some(value) => value.to_string(),
+                None => (*name).to_string(),
+            },
             Field::Choice(names, get, _) => names()[get(technique)].to_string(),
         }
     }
@@ -104,17 +119,23 @@ impl<T: Clone> Row<T> {
         match &self.field {
             Field::Integer(range, _) => format!("[{}, {}]", range.start(), range.end()),
             Field::Number(range, _) => format!("[{}, {}]", range.start(), range.end()),
+            Field::Optional(name, range, _) => {
+                format!("{name} or [{}, {}]", range.start(), range.end())
+            }
             Field::Choice(names, ..) => names().join(", "),
         }
     }
 
     fn out_of_range(&self, given: &str) -> Error {
-        let kind = if matches!(self.field, Field::Integer(..)) { "an integer" } else { "a number" };
-        Error::usage(format!(
-            "`{}` is `{given}`, but must be {kind} in {}",
-            self.key,
-            self.allowed()
-        ))
+        let range = |range: &RangeInclusive<f32>| format!("[{}, {}]", range.start(), range.end());
+        let allowed = match &self.field {
+            Field::Integer(..) => format!("an integer in {}", self.allowed()),
+            Field::Optional(name, numbers, _) => {
+                format!("`{name}` or a number in {}", range(numbers))
+            }
+            _ => format!("a number in {}", self.allowed()),
+        };
+        Error::usage(format!("`{}` is `{given}`, but must be {allowed}", self.key))
     }
 
     /// Sets the parameter to what a SPEC says.
@@ -126,6 +147,11 @@ impl<T: Clone> Row<T> {
             },
             Field::Number(range, field) => match text.parse() {
                 Ok(value) if range.contains(&value) => *field(technique) = value,
+                _ => return Err(self.out_of_range(text)),
+            },
+            Field::Optional(name, range, field) => match text.parse() {
+                _ if text == *name => *field(technique) = None,
+                Ok(value) if range.contains(&value) => *field(technique) = Some(value),
                 _ => return Err(self.out_of_range(text)),
             },
             Field::Choice(names, _, set) => {
@@ -149,6 +175,7 @@ impl<T: Clone> Row<T> {
         let inside = match &self.field {
             Field::Integer(range, field) => range.contains(field(&mut copy)),
             Field::Number(range, field) => range.contains(field(&mut copy)),
+            Field::Optional(_, range, field) => field(&mut copy).is_none_or(|x| range.contains(&x)),
             Field::Choice(..) => true,
         };
         if inside { Ok(()) } else { Err(self.out_of_range(&self.text(technique))) }

@@ -352,6 +352,18 @@ impl Lights {
         if self.table.is_empty() { 0.0 } else { self.table.probability(light) }
     }
 
+    /// The middle of a light's surface, or where a light without one stands; `None` at infinity.
+    #[inline]
+    #[must_use]
+    pub fn center(&self, light: u32) -> Option<Vec3> {
+        match self.lights.get(light as usize)?.surface {
+            Surface::Triangle { corner, edge1, edge2, .. } => Some(corner + (edge1 + edge2) / 3.0),
+            Surface::Sphere { center, .. } | Surface::Disk { center, .. } => Some(center),
+            Surface::Point { position } | Surface::Spot { position, .. } => Some(position),
+            Surface::Distant { .. } | Surface::Environment { .. } => None,
+        }
+    }
+
     /// A light's identity over frames.
     #[must_use]
     pub fn key(&self, light: u32) -> [u64; 2] {

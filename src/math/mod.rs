@@ -5,6 +5,7 @@
 //! | local frame | the shading normal is +z, directions point away from the surface |
 //! | `gamma(n)` | bound on the relative error of n roundings (Higham 2002): n ε / (1 − n ε), ε = 2⁻²⁴ |
 
+mod exp;
 mod lanes;
 pub mod rng;
 pub mod vmf;
@@ -12,6 +13,7 @@ pub mod warp;
 
 use glam::{Vec2, Vec3};
 
+pub(crate) use exp::{exp, ln};
 pub(crate) use lanes::{LANES, Lanes, Lanes3, Mask};
 
 /// Weights of linear Rec. 709 RGB.

@@ -94,6 +94,10 @@ pub enum Purpose {
     Taps = 9,
     /// Which pixels get one estimate more than others.
     Effort = 10,
+    /// Which lobes of the previous frame a pixel reads.
+    LobeReads = 11,
+    /// Whether a chain of lobes moves.
+    ChainAcceptance = 12,
 }
 
 /// A 64-bit hash of (run, cell, frame, purpose, round), where a cell is a pixel, tile or item
@@ -140,6 +144,17 @@ impl PathSeeds {
     #[must_use]
     pub fn seed(self, candidate: u32) -> u64 {
         second_round(self.0, Purpose::PathSeed, candidate)
+    }
+
+    /// The pixel's stream for a purpose and round: [`Stream::new`] with the shared part computed
+    /// once.
+    #[inline]
+    #[must_use]
+    pub fn stream(self, purpose: Purpose, round: u32) -> Stream {
+        let key = second_round(self.0, purpose, round);
+        #[cfg(test)]
+        recording::stream(key, purpose, round);
+        Stream::from_key(key)
     }
 }
 
@@ -337,6 +352,8 @@ mod tests {
     fn path_seeds_are_those_of_one_candidate_at_a_time() {
         let seeds = PathSeeds::new(3 << 40 | 7, 12, 5);
         assert!((0..9).all(|i| seeds.seed(i) == path_seed(3 << 40 | 7, 12, 5, i)));
+        let (mut shared, purpose) = (seeds.stream(Purpose::LobeReads, 3), Purpose::LobeReads);
+        assert_eq!(shared.word(), Stream::new(3 << 40 | 7, 12, 5, purpose, 3).word());
     }
 
     #[test]

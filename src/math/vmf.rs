@@ -18,6 +18,7 @@ use std::f32::consts::TAU;
 
 use glam::{Vec2, Vec3};
 
+use super::exp::{exp, exp_m1, ln, ln_1p};
 use super::warp::{one_minus_z, sin_cos_turn, turn_of};
 
 /// Largest κ for which the functions here keep their precision.
@@ -28,9 +29,9 @@ const HALF_STEP: f32 = 0.5 / 16_777_216.0;
 
 /// x/(eˣ − 1) at x = −2κ, over 4π: the density's value at its peak, κ/(2π (1 − e^{−2κ})).
 #[inline]
-fn peak(kappa: f32) -> f32 {
+pub(crate) fn peak(kappa: f32) -> f32 {
     let x = -2.0 * kappa;
-    let denominator = x.exp_m1();
+    let denominator = exp_m1(x);
     let ratio = if denominator == 0.0 { 1.0 } else { x / denominator };
     ratio * (0.5 / TAU)
 }
@@ -40,7 +41,13 @@ fn peak(kappa: f32) -> f32 {
 #[inline]
 #[must_use]
 pub fn vmf_pdf_chord(kappa: f32, chord_squared: f32) -> f32 {
-    peak(kappa) * (-0.5 * kappa * chord_squared).exp()
+    vmf_pdf_below_peak(peak(kappa), kappa, chord_squared)
+}
+
+/// As [`vmf_pdf_chord`], with V at the peak known.
+#[inline]
+pub(crate) fn vmf_pdf_below_peak(peak: f32, kappa: f32, chord_squared: f32) -> f32 {
+    peak * exp(-0.5 * kappa * chord_squared)
 }
 
 /// V(ω), per solid angle, for unit vectors.
@@ -54,7 +61,7 @@ pub fn vmf_pdf(kappa: f32, mu: Vec3, direction: Vec3) -> f32 {
 #[inline]
 #[must_use]
 pub fn vmf_log_pdf(kappa: f32, mu: Vec3, direction: Vec3) -> f32 {
-    peak(kappa).ln() - 0.5 * kappa * direction.distance_squared(mu)
+    ln(peak(kappa)) - 0.5 * kappa * direction.distance_squared(mu)
 }
 
 /// A direction around +z with density V for μ = +z: `u.x` is the azimuth in turns, `u.y` the
@@ -69,9 +76,9 @@ pub fn sample_vmf(kappa: f32, u: Vec2) -> Vec3 {
         // they are small: no ln 0.
         let v = u.y + HALF_STEP;
         let t = (1.0 - u.y) - HALF_STEP;
-        let missing = (-2.0 * kappa).exp_m1();
+        let missing = exp_m1(-2.0 * kappa);
         let x = v * missing;
-        let log = if x > -0.5 { x.ln_1p() } else { (t + v * (1.0 + missing)).ln() };
+        let log = if x > -0.5 { ln_1p(x) } else { ln(t + v * (1.0 + missing)) };
         -log / kappa
     } else {
         2.0 * u.y
@@ -87,11 +94,7 @@ pub fn sample_vmf(kappa: f32, u: Vec2) -> Vec3 {
 #[must_use]
 pub fn invert_vmf(kappa: f32, direction: Vec3) -> Vec2 {
     let below = one_minus_z(direction);
-    let v = if kappa > 3e-8 {
-        (-kappa * below).exp_m1() / (-2.0 * kappa).exp_m1()
-    } else {
-        0.5 * below
-    };
+    let v = if kappa > 3e-8 { exp_m1(-kappa * below) / exp_m1(-2.0 * kappa) } else { 0.5 * below };
     Vec2::new(turn_of(direction.x, direction.y), v.clamp(0.0, 1.0 - 0.5 * f32::EPSILON))
 }
 

@@ -15,7 +15,9 @@ mod walk;
 
 use glam::Vec3;
 
-pub use walk::{Ending, LightSample, Steps, Sum, Vertex, Visitor, survival, walk};
+pub use walk::{
+    Ending, LightSample, Steps, Sum, Total, Vertex, Visitor, survival, walk, walk_from,
+};
 
 use crate::accel::{Hit, HitFilter, HitPoint, Ray};
 use crate::counters::Counters;

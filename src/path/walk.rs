@@ -107,6 +107,12 @@ pub trait Visitor {
     /// light of a path that ends there.
     fn light(&mut self, number: u32, at: &Vertex, throughput: Vec3, sample: &LightSample);
 
+    /// Whether the path is followed along a sample; asked before [`Visitor::scatter`].
+    #[inline(always)]
+    fn follows(&self, _number: u32, _sample: &BsdfSample) -> bool {
+        true
+    }
+
     /// The direction that the vertex scatters into; `direction` is the sample's in world space.
     #[inline(always)]
     fn scatter(&mut self, _number: u32, _at: &Vertex, _sample: &BsdfSample, _direction: Vec3) {}
@@ -140,6 +146,19 @@ impl Visitor for Sum {
     #[inline(always)]
     fn sky(&mut self, _: u32, throughput: Vec3, end: &Ending, _: Vec3) {
         self.0 += throughput * end.emission * end.share;
+    }
+}
+
+/// A visitor that sums light.
+pub trait Total: Visitor + Default {
+    /// The sum.
+    fn total(&self) -> Vec3;
+}
+
+impl Total for Sum {
+    #[inline(always)]
+    fn total(&self) -> Vec3 {
+        self.0
     }
 }
 
@@ -287,14 +306,28 @@ pub fn walk<const LIGHTS: u8, const DIRECT: bool, F: HitFilter>(
     visitor: &mut impl Visitor,
     counters: &mut Counters,
 ) {
+    counters.paths += 1;
+    walk_from::<LIGHTS, DIRECT, F>(steps, (seed, 0), primary, limits, visitor, counters);
+}
+
+/// As [`walk`] from vertex number `first` on, which a ray along the unit direction `at.0` met at
+/// the hit `at.1`; throughput begins with 1 there. What the hit itself emits is not asked.
+#[inline(always)]
+pub fn walk_from<const LIGHTS: u8, const DIRECT: bool, F: HitFilter>(
+    steps: &Steps<'_, LIGHTS, F>,
+    (seed, first): (u64, u32),
+    at: (Vec3, &Hit),
+    limits: Limits,
+    visitor: &mut impl Visitor,
+    counters: &mut Counters,
+) {
     let world = steps.world;
     let mut throughput = Vec3::ONE;
     let mut eta_scale = 1.0_f32;
-    let mut direction = primary.0;
-    let mut hit = *primary.1;
+    let mut direction = at.0;
+    let mut hit = *at.1;
     let mut point = world.accel.point(&hit);
-    counters.paths += 1;
-    for number in 0..limits.depth.saturating_sub(1) {
+    for number in first..limits.depth.saturating_sub(1) {
         let vertex = Vertex::at(world, &hit, &point, direction);
         if vertex.surface.bsdf.is_black() {
             break;
@@ -319,6 +352,9 @@ pub fn walk<const LIGHTS: u8, const DIRECT: bool, F: HitFilter>(
         }
 
         let Some(sample) = steps.scatter(&vertex, (seed, number)) else { break };
+        if !visitor.follows(number, &sample) {
+            break;
+        }
         let last = number + 2 == limits.depth;
         // Whether emission at the end of this segment belongs to the estimate.
         let counted = counted || sample.delta;

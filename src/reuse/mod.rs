@@ -33,6 +33,7 @@ mod boiling;
 mod control;
 mod exchange;
 pub mod light_points;
+pub mod lobes;
 mod mutate;
 pub(crate) mod parameters;
 pub(crate) mod passes;

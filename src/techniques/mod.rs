@@ -4,6 +4,8 @@
 //! A technique is named by a SPEC: `name` or `name:key=value,key=value`. [`REGISTRY`] lists all;
 //! the command line, benches and tests loop over it.
 
+mod mcmm;
+mod other_light;
 mod path_tracer;
 mod restir_di;
 mod restir_pt;
@@ -13,6 +15,7 @@ use std::fmt;
 
 pub use crate::reuse::light_points::LightTiles;
 pub use crate::spec::{Parameter, Values};
+pub use mcmm::{LobeScore, Mcmm, McmmPaths, McmmPreset, ReadsMode, SetEstimator};
 pub use path_tracer::{LightSampling, PathTracer};
 pub use restir_di::RestirDi;
 pub use restir_pt::{Direct, Preset, RestirPt, Shade};
@@ -135,6 +138,7 @@ pub const REGISTRY: &[Entry] = &[
     restir_di::RIS,
     restir_di::RESTIR_DI,
     restir_pt::RESTIR_PT,
+    mcmm::MCMM,
 ];
 
 /// The registered technique that a SPEC names.
@@ -242,7 +246,10 @@ mod tests {
     #[test]
     fn unknown_names_and_keys_list_what_exists() {
         for (spec, text) in [
-            ("ne", "no technique is called `ne`; known: nee, ris, bsdf, restir-di, restir-pt"),
+            (
+                "ne",
+                "no technique is called `ne`; known: nee, ris, bsdf, mcmm, restir-di, restir-pt",
+            ),
             ("nee:rulette=3", "`nee` has no parameter `rulette`; known: roulette, lights"),
             (
                 "nee:roulette",

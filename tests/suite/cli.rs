@@ -115,7 +115,7 @@ fn wrong_input_is_status_two_and_one_line_that_lists_what_exists() {
     for (line, parts) in [
         (
             format!("render {scene} --technique ne"),
-            vec!["no technique is called `ne`", "known: nee, ris, bsdf, restir-di"],
+            vec!["no technique is called `ne`", "known: nee, ris, bsdf, mcmm, restir-di"],
         ),
         (
             format!("compare {scene} --techniques nee:rulette=1"),
@@ -222,8 +222,8 @@ fn compare_writes_what_it_promises_and_uses_its_cache() {
         assert!(spectrum.points.len() > 10 && spectrum.points.iter().all(|p| p.power.mean > 0.0));
     }
     assert_eq!(results.spectra.len(), results.rows.len());
-    // Two techniques keep history.
-    assert_eq!(results.warmups.len(), 2);
+    // Three techniques keep history.
+    assert_eq!(results.warmups.len(), 3);
     assert!(folder.join("warmup.csv").exists());
     // The picture with its emission apart can be judged again.
     let diff = place.run("diff first/nee.exr first/reference.exr --json").done();

@@ -214,10 +214,11 @@ fn primary_rays_of_a_still_scene_are_traced_once() {
         );
         assert_eq!(primary(&still, point), [pixels, 0, 0]);
         assert_eq!(primary(&moving, point), [pixels; 3]);
-        // Each of a pixel's two samples has a ray of its own, unless a pixel's reservoir belongs to
-        // one surface.
+        // Each of a pixel's two samples has a ray of its own, unless a pixel's reservoir or lobe
+        // belongs to one surface.
         let each = parse(entry.name).unwrap().plan(still.facts(), &boxed).rays_per_pixel()[0];
-        assert!(each == 2 || entry.name.contains("ris") || entry.name.contains("restir"));
+        let of_surfaces = ["ris", "restir-di", "restir-pt", "mcmm"].contains(&entry.name);
+        assert_eq!(each, if of_surfaces { 1 } else { 2 });
         assert_eq!(primary(&still, boxed), [each * pixels; 3]);
     }
 }

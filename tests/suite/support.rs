@@ -222,9 +222,19 @@ pub(crate) const RESTARTS: u64 = 64;
 /// mean, from a pilot of other runs. The factor is for what the pilot does not know of c (4 %) and
 /// for Student's quantile in the place of z.
 fn effort(stage: &Stage, spec: &str, shot: Shot, sides: f64) -> (u32, f64) {
-    let pilot = restarts(stage, spec, Shot { effort: 1.0, run: 1 << 40, ..shot }, 4 * RESTARTS);
-    let c = pilot.variance().sqrt() / pilot.mean() * (shot.pixels() as f64).sqrt();
-    assert!(c.is_finite(), "{spec} sees nothing: {pilot:?}");
+    let noise = |effort: u32| {
+        let shot = Shot { effort: effort as f32, run: 1 << 40, ..shot };
+        let pilot = restarts(stage, spec, shot, 4 * RESTARTS);
+        let paths = shot.pixels() as f64 * f64::from(effort);
+        let c = pilot.variance().sqrt() / pilot.mean() * paths.sqrt();
+        assert!(c.is_finite(), "{spec} sees nothing: {pilot:?}");
+        c
+    };
+    let mut c = noise(1);
+    // Lobes learn from the first path of a frame on; under even light that is for the worse.
+    if c > 1e-4 && parse(spec).unwrap().plan(stage.facts(), &shot).buffer("lobes").is_some() {
+        c = c.max(noise(16));
+    }
     let paths = sides * samples_for_bias(DELTA, 1.1 * c, 2.0 * ALPHA, 0.9995);
     let effort = (paths / (RESTARTS as f64 * shot.pixels() as f64)).ceil().max(1.0);
     assert!(effort < 2e4, "{spec} would need {paths:e} paths: choose another scene");

@@ -30,9 +30,10 @@ pub(super) struct Settled {
 const HUNDREDTHS: u32 = 100;
 
 /// Whether a technique has whole efforts only: a pixel has that many chains of reservoirs, and what
-/// is in one frame changes later ones, so that a pixel cannot have one more in some frames.
+/// is in one frame changes later ones, so that a pixel cannot have one more in some frames. A
+/// technique that keeps lobes may take any number of steps in a frame.
 pub(super) fn has_whole_efforts(plan: &Plan) -> bool {
-    plan.chains || plan.keeps_history()
+    plan.chains
 }
 
 /// Finds the budget and the efforts. Techniques are measured by turns, so that a change of the

@@ -77,6 +77,10 @@ fn refract(wo: Vec3, h: Vec3, eta: f32) -> Option<Vec3> {
 }
 
 impl Lobes for Dielectric {
+    fn transmits(&self) -> bool {
+        true
+    }
+
     #[inline]
     fn count(&self) -> u32 {
         2
@@ -209,6 +213,10 @@ impl ThinDielectric {
 }
 
 impl Lobes for ThinDielectric {
+    fn transmits(&self) -> bool {
+        true
+    }
+
     #[inline]
     fn count(&self) -> u32 {
         2

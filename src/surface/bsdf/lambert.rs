@@ -95,6 +95,10 @@ impl DiffuseTransmission {
 }
 
 impl Lobes for DiffuseTransmission {
+    fn transmits(&self) -> bool {
+        true
+    }
+
     #[inline]
     fn count(&self) -> u32 {
         2

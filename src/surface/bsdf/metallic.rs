@@ -152,6 +152,10 @@ impl Metallic {
 }
 
 impl Lobes for Metallic {
+    fn transmits(&self) -> bool {
+        self.transmission != Vec3::ZERO
+    }
+
     #[inline]
     fn count(&self) -> u32 {
         3

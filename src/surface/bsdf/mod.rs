@@ -140,6 +140,10 @@ trait Lobes {
     fn albedo(&self) -> Vec3;
     /// α of a lobe, the smaller one where it is stretched: 1 for diffuse lobes, 0 for deltas.
     fn roughness(&self, lobe: u32) -> f32;
+    /// Whether light may cross the surface.
+    fn transmits(&self) -> bool {
+        false
+    }
 }
 
 /// A direction of a delta lobe.
@@ -247,6 +251,10 @@ impl Part {
 }
 
 impl Lobes for Mix {
+    fn transmits(&self) -> bool {
+        self.parts.iter().any(|part| each_part!(part, lobes => lobes.transmits()))
+    }
+
     fn count(&self) -> u32 {
         self.parts[0].count() + self.parts[1].count()
     }
@@ -474,6 +482,13 @@ impl Bsdf {
     #[must_use]
     pub fn has_non_delta(&self) -> bool {
         each!(self, lobes => lobes.has_non_delta())
+    }
+
+    /// Whether light may cross the surface.
+    #[inline]
+    #[must_use]
+    pub fn transmits(&self) -> bool {
+        each!(self, lobes => lobes.transmits())
     }
 
     /// Whether no light leaves in any direction: neither light sampling nor scattering can

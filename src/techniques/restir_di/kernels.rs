@@ -8,12 +8,13 @@ use crate::accel::HitFilter;
 use crate::counters::Counters;
 use crate::math::rng::Purpose;
 use crate::pass::{Band, FrameInputs, PrimaryHit};
-use crate::path::{Limits, finite_or_counted, indirect_radiance, sampled, scattered_radiance};
+use crate::path::{Sum, finite_or_counted};
 use crate::plan::Plan;
-use crate::reuse::light_points::{LightPoints, PATHS, candidates};
+use crate::reuse::light_points::{LightPoints, candidates};
 use crate::reuse::passes::kernel as reuse_kernel;
 use crate::reuse::policy::{Policy, WithPolicy};
 use crate::reuse::{Domain, Reuse};
+use crate::techniques::other_light;
 use crate::world::WithFilter;
 
 /// Runs a kernel over a band.
@@ -40,11 +41,16 @@ impl WithFilter for Call<'_, '_, '_> {
     fn run<F: HitFilter + Sync>(self, filter: F) -> Counters {
         let Call { technique, kernel, inputs, band } = self;
         let at = Kernels { technique, inputs, filter: &filter };
+        let roulette_after = technique.roulette_after;
         match kernel {
             kernel::TILES => at.light_points::<false>().tiles(band),
             kernel::RIS => at.ris(band),
-            kernel::PATHS => at.paths::<false>(band),
-            kernel::ALL_PATHS => at.paths::<true>(band),
+            kernel::PATHS => {
+                other_light::add::<false, Sum, F>(inputs, &filter, roulette_after, band)
+            }
+            kernel::ALL_PATHS => {
+                other_light::add::<true, Sum, F>(inputs, &filter, roulette_after, band)
+            }
             _ => technique
                 .visibility
                 .choose(technique.limits(), Reusing { kernels: at, kernel, band }),
@@ -137,48 +143,6 @@ impl<'a, F: HitFilter + Sync> Kernels<'a, F> {
                 }
             }
             *out = (sum / estimates as f32).to_array();
-        }
-        counters
-    }
-
-    /// The path tracer's share: all light, or what is left beside the resampled light, which is
-    /// there already.
-    fn paths<const ALL: bool>(&self, band: &mut Band<'_>) -> Counters {
-        let mut counters = Counters::default();
-        let inputs = self.inputs;
-        let hits = inputs.read::<PrimaryHit>(Plan::HITS);
-        let roulette_after = self.technique.roulette_after;
-        let limits = Limits { depth: inputs.shot.depth, roulette_after };
-        let pixels = band.pixels();
-        let radiance: &mut [[f32; 3]] = band.take(Plan::RADIANCE);
-        for (pixel, out) in pixels.zip(radiance) {
-            let mut sum = Vec3::ZERO;
-            let estimates = inputs.estimates(pixel);
-            if let Some(hit) = hits[pixel.index as usize].get() {
-                let primary = (inputs.primary_direction(pixel), &hit);
-                let (world, filter) = (inputs.world, self.filter);
-                let seeds = inputs.seeds(pixel.index);
-                for sample in 0..estimates {
-                    let path = if ALL {
-                        let seed = seeds.seed(sample);
-                        scattered_radiance::<{ sampled::ONE }, F>(
-                            world,
-                            filter,
-                            seed,
-                            primary,
-                            limits,
-                            &mut counters,
-                        )
-                    } else {
-                        let seed = seeds.seed(PATHS + sample);
-                        indirect_radiance(world, filter, seed, primary, limits, &mut counters)
-                    };
-                    sum += finite_or_counted(path, &mut counters);
-                }
-            }
-            // The mean is taken as `nee` takes it, whose bits these are where there is one light.
-            let mean = sum * (1.0 / estimates as f32);
-            *out = if ALL { mean } else { Vec3::from(*out) + mean }.to_array();
         }
         counters
     }
