@@ -60,6 +60,19 @@ impl Lanes {
     /// [`exp`] of each.
     #[inline(always)]
     pub(crate) fn exp(self) -> Self {
+        let (power, rest) = self.split();
+        (rest + 1.0) * power
+    }
+
+    /// [`exp_m1`] of each.
+    #[inline(always)]
+    pub(crate) fn exp_m1(self) -> Self {
+        let (power, rest) = self.split();
+        power * rest + (power - 1.0)
+    }
+
+    #[inline(always)]
+    fn split(self) -> (Self, Self) {
         let least = Self::splat(LEAST);
         let x = self.below(least).select(least, self);
         let rounded = x * LOG2_E + ROUNDING;
@@ -72,7 +85,7 @@ impl Lanes {
         let power = Self::of(|i| {
             f32::from_bits((rounded.0[i].to_bits() << 23).wrapping_add(1.0_f32.to_bits()))
         });
-        (sum * (r * r) + r + 1.0) * power
+        (power, sum * (r * r) + r)
     }
 }
 
@@ -149,6 +162,8 @@ mod tests {
         for _ in 0..20_000 {
             let x = Lanes::of(|_| -100.0 * random.uniform().powi(8));
             let (all, each) = (x.exp(), x.0.map(exp));
+            assert_eq!(all.0.map(f32::to_bits), each.map(f32::to_bits), "{x:?}");
+            let (all, each) = (x.exp_m1(), x.0.map(exp_m1));
             assert_eq!(all.0.map(f32::to_bits), each.map(f32::to_bits), "{x:?}");
         }
     }

@@ -18,6 +18,7 @@ use std::f32::consts::TAU;
 
 use glam::{Vec2, Vec3};
 
+use super::Lanes;
 use super::exp::{exp, exp_m1, ln, ln_1p};
 use super::warp::{one_minus_z, sin_cos_turn, turn_of};
 
@@ -34,6 +35,16 @@ pub(crate) fn peak(kappa: f32) -> f32 {
     let denominator = exp_m1(x);
     let ratio = if denominator == 0.0 { 1.0 } else { x / denominator };
     ratio * (0.5 / TAU)
+}
+
+/// [`peak`] of eight concentrations above 0.
+#[inline(always)]
+pub(crate) fn peaks(kappa: Lanes) -> Lanes {
+    let x = kappa * -2.0;
+    let denominator = x.exp_m1();
+    // A concentration below 10⁻⁸ rounds the denominator to 0.
+    let none = denominator.below(Lanes::ZERO).not();
+    none.select(Lanes::splat(1.0), x / denominator) * (0.5 / TAU)
 }
 
 /// V at a direction whose squared distance from μ is `chord_squared` = ‖ω − μ‖², per solid angle.

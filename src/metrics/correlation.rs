@@ -33,6 +33,21 @@ pub fn covariance_r8(
     reference: &Picture,
     mask: Option<&[bool]>,
 ) -> Result<Estimate> {
+    let each = covariance_r8_by_restart(restarts, reference, mask)?;
+    Ok(each.into_iter().collect::<Moments>().estimate())
+}
+
+/// What each restart adds to [`covariance_r8`], which is their mean: for differences between
+/// techniques that were restarted with the same seeds, whose noise is largely the same.
+///
+/// # Errors
+///
+/// As [`covariance_r8`].
+pub fn covariance_r8_by_restart(
+    restarts: &[Picture],
+    reference: &Picture,
+    mask: Option<&[bool]>,
+) -> Result<Vec<f64>> {
     covariance(restarts, reference, mask, RADIUS)
 }
 
@@ -41,7 +56,7 @@ fn covariance(
     reference: &Picture,
     mask: Option<&[bool]>,
     radius: usize,
-) -> Result<Estimate> {
+) -> Result<Vec<f64>> {
     if restarts.len() < COVARIANCE_RESTARTS {
         return Err(Error::invalid(format!(
             "a covariance over {} restarts, but at least {COVARIANCE_RESTARTS} are needed",
@@ -73,7 +88,7 @@ fn covariance(
     }
     exposure /= n.max(1) as f64;
     let members = BoxSum::new(width, (0..pixels).map(|i| f64::from(u8::from(counts[i]))));
-    let per_restart: Moments = restarts
+    let per_restart = restarts
         .iter()
         .map(|picture| {
             let deviation: Vec<f64> = (0..pixels)
@@ -88,7 +103,7 @@ fn covariance(
             if n == 0 { 0.0 } else { total / n as f64 * k / (k - 1.0) / (exposure * exposure) }
         })
         .collect();
-    Ok(per_restart.estimate())
+    Ok(per_restart)
 }
 
 /// A summed-area table (Crow 1984).
@@ -163,7 +178,8 @@ mod tests {
         let reference = noise(11, 9, 99);
         let mut mask = vec![true; 99];
         mask[..7].fill(false);
-        let fast = covariance(&restarts, &reference, Some(&mask), 2).unwrap().mean;
+        let terms = covariance(&restarts, &reference, Some(&mask), 2).unwrap();
+        let fast = terms.into_iter().collect::<Moments>().mean();
         let slow = brute_force(&restarts, &reference, &mask, 2);
         assert!((fast / slow - 1.0).abs() < 1e-12, "{fast} {slow}");
     }

@@ -23,7 +23,7 @@ use crate::error::{Error, Result};
 use crate::math::luminance;
 
 pub use crate::picture::Picture;
-pub use correlation::{COVARIANCE_RESTARTS, covariance_r8};
+pub use correlation::{COVARIANCE_RESTARTS, covariance_r8, covariance_r8_by_restart};
 pub use denoise::{Guides, denoise};
 pub use spectrum::Spectrum;
 

@@ -184,11 +184,14 @@ pub(crate) fn check_strips(entries: &[Entry], (name, course): &(&str, Course), s
     let stage = course.stage();
     let looks: Vec<Look> = [1, 3].iter().flat_map(|age| looks(course, shot, *age, DELTA)).collect();
     // With several near neighbours where it has any: they differ most in what they see of a strip.
-    // As it is only where everything moves.
+    // As it is only where everything moves, and with most samples for lights where that can be
+    // chosen: it is the noise of one.
     let near = "neighbours=3,radius=4,taps=random,mature=0";
     let specs = entries.iter().flat_map(|entry| {
-        let asks = (entry.parameters)().iter().any(|parameter| parameter.key == "neighbours");
-        let plain = (!asks || *name == "all").then_some((entry, ""));
+        let has = |key| (entry.parameters)().iter().any(|parameter| parameter.key == key);
+        let asks = has("neighbours");
+        let lit = if has("light") { "light=0.9" } else { "" };
+        let plain = (*name == "all").then_some((entry, lit));
         plain.into_iter().chain(asks.then_some((entry, near)))
     });
     for (entry, keys) in specs {

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use afterimage::frame::{FrameLoop, Stage};
-use afterimage::metrics::{Comparison, covariance_r8};
+use afterimage::metrics::{Comparison, covariance_r8, covariance_r8_by_restart};
 use afterimage::picture::Picture;
 use afterimage::plan::Filter;
 use afterimage::scene::{Scene, load};
@@ -189,21 +189,30 @@ fn long_covariance_of_paths() {
         let truth = Picture::new(size[0], size[1], truth);
         let mse = |p: &Picture| Comparison::new(p, &truth, None).unwrap().mse();
         let relmse = |p: &Picture| Comparison::new(p, &truth, None).unwrap().relmse();
-        let reference = covariance_r8(&all[0].1.pictures, &truth, None).unwrap();
+        let terms =
+            |shown: &Shown| covariance_r8_by_restart(&shown.pictures, &truth, None).unwrap();
+        let reference = terms(&all[0].1);
+        let before = reference.iter().copied().collect::<Moments>().mean();
         for (n, shown) in &all {
-            let covariance = covariance_r8(&shown.pictures, &truth, None).unwrap();
+            let terms = terms(shown);
+            let covariance = terms.iter().copied().collect::<Moments>().estimate();
             let (low, high) = covariance.interval(0.95);
-            let z = (reference.mean - covariance.mean)
-                / (reference.variance + covariance.variance).sqrt();
+            // Seeds are the same, and so is most of the noise: differences are taken in pairs.
+            let pairs = reference.iter().zip(&terms);
+            let change: Moments = pairs.map(|(a, b)| (b - a) / before).collect();
+            let (fewest, highest) = change.estimate().interval(0.95);
+            let z = change.mean() / change.standard_error();
             let pairs = all[0].1.pictures.iter().zip(&shown.pictures);
-            let change: Moments = pairs.map(|(a, b)| (mse(b) / mse(a)).sqrt() - 1.0).collect();
-            let (least, most) = change.estimate().interval(0.95);
+            let rmse: Moments = pairs.map(|(a, b)| (mse(b) / mse(a)).sqrt() - 1.0).collect();
+            let (least, most) = rmse.estimate().interval(0.95);
             let relmse: Moments = shown.pictures.iter().map(relmse).collect();
             println!(
-                "{scene} | {n} | {:.3e} [{low:.3e}, {high:.3e}] | {:+.1} % | z {z:.2} | rmse {:+.2} % [{:+.2}, {:+.2}] | duplicates {:.4} | {:.2} ms | relmse {:.4} ± {:.4} | times ms {:.4}",
+                "{scene} | {n} | {:.3e} [{low:.3e}, {high:.3e}] | {:+.1} % [{:+.1}, {:+.1}] | z {z:.2} | rmse {:+.2} % [{:+.2}, {:+.2}] | duplicates {:.4} | {:.2} ms | relmse {:.4} ± {:.4} | times ms {:.4}",
                 covariance.mean,
-                100.0 * (covariance.mean / reference.mean - 1.0),
                 100.0 * change.mean(),
+                100.0 * fewest,
+                100.0 * highest,
+                100.0 * rmse.mean(),
                 100.0 * least,
                 100.0 * most,
                 shown.duplicates.mean(),

@@ -3,7 +3,9 @@
 use glam::{Vec2, Vec3};
 use pulp::{Arch, NullaryFnOnce};
 
-use crate::math::vmf::{peak, sample_vmf, vmf_pdf_below_peak};
+use super::state::BORN_OF;
+use super::{LobeState, Prior};
+use crate::math::vmf::{peak, peaks, sample_vmf, vmf_pdf_below_peak};
 use crate::math::{Frame, LANES, Lanes, Lanes3, Mask};
 
 /// Most lobes of a set.
@@ -97,6 +99,41 @@ impl Group {
     const NONE: Self =
         Self { target: Lanes3::ZERO, anchored: Lanes::ZERO, kappa: Lanes::ZERO, peak: Lanes::ZERO };
 
+    /// The shapes of up to eight states, eight at once: those of [`LobeState::shape`], bit for bit.
+    #[inline(always)]
+    fn of(states: &[LobeState], prior: &Prior) -> Self {
+        let mut group = Self::NONE;
+        let (mut count, mut spread, mut weight, mut born) =
+            (Lanes::ZERO, Lanes::ZERO, Lanes::ZERO, Lanes::ZERO);
+        for (lane, state) in states.iter().enumerate() {
+            group.target.set(lane, state.target);
+            group.anchored.0[lane] = if state.is_sky() { 0.0 } else { 1.0 };
+            count.0[lane] = state.count() as f32;
+            spread.0[lane] = state.spread;
+            weight.0[lane] = state.weight;
+            born.0[lane] = state.born_of_code();
+        }
+        let before = prior.spread.map_or_else(|| (born * BORN_OF).exp(), Lanes::splat);
+        let squared = count * count;
+        let d = (before * prior.count + squared * spread) / (squared + prior.count);
+        // As `approximate_vmf_kappa`, cut off at the largest.
+        let r = Lanes::splat(1.0) - d;
+        let kappa = r * (Lanes::splat(3.0) - r * r) / (d * (Lanes::splat(2.0) - d));
+        let most = Lanes::splat(Shape::MOST_KAPPA);
+        let kappa = kappa.below(most).select(kappa, most);
+        let (none, positive) = (Lanes::ZERO, Lanes::ZERO.below(d));
+        group.kappa = positive.select(kappa, most);
+        let sound = Mask::of(|lane| (0.0..=1.0).contains(&spread.0[lane]));
+        let there = none
+            .below(weight)
+            .and(weight.finite())
+            .and(sound)
+            .and(none.below(count))
+            .and(none.below(group.kappa));
+        group.peak = there.select(peaks(group.kappa), none);
+        group
+    }
+
     /// V of each at a receiver, and where there is one.
     #[inline(always)]
     fn densities(&self, from: Vec3, direction: Vec3) -> (Lanes, Mask) {
@@ -149,6 +186,14 @@ impl LobeSet {
     pub fn clear(&mut self, len: usize) {
         self.used = len.div_ceil(LANES);
         self.groups[..self.used].fill(Group::NONE);
+    }
+
+    /// The set of the lobes of `states`.
+    #[inline]
+    pub fn fill(&mut self, states: &[LobeState], prior: &Prior) {
+        self.used = states.len().div_ceil(LANES);
+        let groups = &mut self.groups[..self.used];
+        Arch::new().dispatch(Fill { groups, states, prior });
     }
 
     /// Puts a shape, or none, in a place.
@@ -216,6 +261,23 @@ impl Weights {
     #[inline]
     pub fn set(&mut self, place: usize, weight: f32) {
         self.0[place / LANES].0[place % LANES] = weight;
+    }
+}
+
+struct Fill<'a> {
+    groups: &'a mut [Group],
+    states: &'a [LobeState],
+    prior: &'a Prior,
+}
+
+impl NullaryFnOnce for Fill<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        for (group, states) in self.groups.iter_mut().zip(self.states.chunks(LANES)) {
+            *group = Group::of(states, self.prior);
+        }
     }
 }
 
@@ -305,6 +367,46 @@ mod tests {
                 assert_eq!(own, each(&|place| 0.5 + place as f32));
             }
         }
+    }
+
+    /// Filled from states, whatever they hold, a set has the bits of their shapes.
+    #[test]
+    fn a_filled_set_is_the_shapes_of_its_states() {
+        let mut random = Stream::from_key(7);
+        let (mut there, mut count) = (0, 0);
+        for case in 0..3_000 {
+            let wild = case % 2 == 0;
+            let states: Vec<LobeState> = (0..[1, 7, 32, 64][case % 4])
+                .map(|_| {
+                    let words: [u32; 8] = std::array::from_fn(|_| random.word());
+                    let mut state: LobeState = bytemuck::cast(words);
+                    if !wild {
+                        state.target = std::array::from_fn(|_| 3.0 * random.uniform());
+                        state.spread = random.uniform().powi(9);
+                        state.weight = random.uniform();
+                    }
+                    state
+                })
+                .collect();
+            for spread in [None, Some(1.0), Some(0.0), Some(0.01)] {
+                let prior = Prior { count: [0.0, 0.1, 1.0][case % 3], spread };
+                let mut set = LobeSet::default();
+                set.fill(&states, &prior);
+                for (place, state) in states.iter().enumerate() {
+                    let shape = state.shape(&prior);
+                    let bits = |shape: Option<Shape>| {
+                        shape.map(|Shape { target, anchored, kappa, peak }| {
+                            let [x, y, z] = target.to_array();
+                            [x, y, z, anchored, kappa, peak].map(f32::to_bits)
+                        })
+                    };
+                    assert_eq!(bits(set.get(place)), bits(shape), "{state:?} {prior:?}");
+                    there += u32::from(shape.is_some());
+                    count += 1;
+                }
+            }
+        }
+        assert!(there > 10_000 && count - there > 10_000, "{there} of {count}");
     }
 
     /// The sum does not depend on the order of its members but for rounding, and opposite lobes add

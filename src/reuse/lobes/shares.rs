@@ -66,7 +66,8 @@ impl Shares {
     #[inline]
     #[must_use]
     pub fn mean_density(&self, at: &Evaluated, lobes: Densities, techniques: f32) -> f32 {
-        let sampled = self.light * at.light;
+        // An infinite density of light sampling is none where no light is sampled.
+        let sampled = if self.light == 0.0 { 0.0 } else { self.light * at.light };
         if at.light_only {
             return sampled;
         }

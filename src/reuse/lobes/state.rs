@@ -16,6 +16,8 @@ const COUNT_MASK: u32 = (1 << COUNT_BITS) - 1;
 const PRIOR_FROM: u32 = 16;
 const PRIOR_MASK: u32 = (1 << 15) - 1;
 const PRIOR_STEPS: f32 = 1024.0;
+/// ln (1 − `r_p`) of one step.
+pub(super) const BORN_OF: f32 = -LN_2 / PRIOR_STEPS;
 const SKY: u32 = 1 << 31;
 
 /// A lobe as it lies in the loop's buffers; all zeros is none.
@@ -109,7 +111,7 @@ impl LobeState {
     #[inline]
     #[must_use]
     pub fn born_of(&self) -> f32 {
-        exp(-LN_2 / PRIOR_STEPS * (self.bits >> PRIOR_FROM & PRIOR_MASK) as f32)
+        exp(self.born_of_code() * BORN_OF)
     }
 
     /// A lobe that has learnt nothing yet, of the emitter that was found.
@@ -190,6 +192,12 @@ impl LobeState {
         self
     }
 
+    /// 15 bits of 1 − `r_p` of the emitter that it was born of.
+    #[inline(always)]
+    pub(super) fn born_of_code(&self) -> f32 {
+        (self.bits >> PRIOR_FROM & PRIOR_MASK) as f32
+    }
+
     /// The lobe without its receiver, by the mean cosine r = (`N_p` `r_p` + N² r̄) / (`N_p` + N²)
     /// (Dittebrandt et al. 2023): κ is the same for all receivers. `None` where there is no lobe,
     /// or a state that makes none.
@@ -197,7 +205,8 @@ impl LobeState {
     #[must_use]
     pub fn shape(&self, prior: &Prior) -> Option<Shape> {
         let count = self.count() as f32;
-        let usable = self.weight > 0.0 && self.weight < f32::INFINITY && count > 0.0;
+        let spread = (0.0..=1.0).contains(&self.spread);
+        let usable = self.weight > 0.0 && self.weight < f32::INFINITY && count > 0.0 && spread;
         if !usable {
             return None;
         }

@@ -22,20 +22,30 @@ use crate::surface::bsdf::BsdfSample;
 /// receiver, θ' and n' on the other one (Rath et al. 2020, eq. 35): a lobe that aims at y from
 /// nearby finds the same light. For a mirror it is the image behind it.
 struct Beyond<const DELTAS: bool> {
-    sum: Vec3,
+    met: Met,
     from: Vec3,
     direction: Vec3,
     /// (|cos θ| / |cos θ'|) (n / n'), where vertex 1 scattered by a delta.
     stretch: Option<f32>,
-    place: Vec3,
+}
+
+/// What a direction found behind the first hit.
+#[derive(Clone, Copy)]
+pub(super) struct Met {
+    /// Radiance.
+    pub(super) sum: Vec3,
+    /// Where it appears to come from, or the direction to there.
+    pub(super) place: Vec3,
+    /// Whether it is a sky, seen through or in a perfectly specular surface.
+    pub(super) sky: bool,
 }
 
 impl<const DELTAS: bool> Beyond<DELTAS> {
-    fn met(&mut self, number: u32, at: Vec3) {
+    fn reached(&mut self, number: u32, at: Vec3) {
         if number == 1
             && let Some(stretch) = self.stretch
         {
-            self.place = self.from + self.direction * (stretch * self.from.distance(at));
+            self.met.place = self.from + self.direction * (stretch * self.from.distance(at));
         }
     }
 }
@@ -43,12 +53,12 @@ impl<const DELTAS: bool> Beyond<DELTAS> {
 impl<const DELTAS: bool> Visitor for Beyond<DELTAS> {
     #[inline(always)]
     fn vertex(&mut self, number: u32, _: &Vertex, _: &Hit, point: &HitPoint) {
-        self.met(number.wrapping_sub(1), point.position);
+        self.reached(number.wrapping_sub(1), point.position);
     }
 
     #[inline(always)]
     fn light(&mut self, _: u32, _: &Vertex, throughput: Vec3, sample: &LightSample) {
-        self.sum += throughput * sample.contribution();
+        self.met.sum += throughput * sample.contribution();
     }
 
     #[inline(always)]
@@ -66,13 +76,17 @@ impl<const DELTAS: bool> Visitor for Beyond<DELTAS> {
 
     #[inline(always)]
     fn emitter(&mut self, number: u32, throughput: Vec3, end: &Ending, _: &Hit, at: &HitPoint) {
-        self.met(number, at.position);
-        self.sum += throughput * end.emission * end.share;
+        self.reached(number, at.position);
+        self.met.sum += throughput * end.emission * end.share;
     }
 
     #[inline(always)]
-    fn sky(&mut self, _: u32, throughput: Vec3, end: &Ending, _: Vec3) {
-        self.sum += throughput * end.emission * end.share;
+    fn sky(&mut self, number: u32, throughput: Vec3, end: &Ending, _: Vec3) {
+        if number == 1 && self.stretch.is_some() {
+            // Its image is as far away as itself.
+            (self.met.place, self.met.sky) = (self.direction, true);
+        }
+        self.met.sum += throughput * end.emission * end.share;
     }
 }
 
@@ -84,9 +98,9 @@ pub(super) fn beyond<const DELTAS: bool, F: HitFilter>(
     (direction, hit, at): (Vec3, &Hit, Vec3),
     limits: Limits,
     counters: &mut Counters,
-) -> (Vec3, Vec3) {
-    let mut visitor =
-        Beyond::<DELTAS> { sum: Vec3::ZERO, from: at, direction, stretch: None, place: at };
+) -> Met {
+    let met = Met { sum: Vec3::ZERO, place: at, sky: false };
+    let mut visitor = Beyond::<DELTAS> { met, from: at, direction, stretch: None };
     let from = (seed, 1);
     if DELTAS {
         // No vertex on the way can sample a light.
@@ -110,7 +124,7 @@ pub(super) fn beyond<const DELTAS: bool, F: HitFilter>(
             counters,
         );
     }
-    (visitor.sum, visitor.place)
+    visitor.met
 }
 
 /// All light but what comes by a lobe that is not a delta, at the primary hit, through perfectly

