@@ -135,10 +135,10 @@ impl Entry {
 pub const REGISTRY: &[Entry] = &[
     path_tracer::BSDF,
     path_tracer::NEE,
+    mcmm::MCMM,
     restir_di::RIS,
     restir_di::RESTIR_DI,
     restir_pt::RESTIR_PT,
-    mcmm::MCMM,
 ];
 
 /// The registered technique that a SPEC names.

@@ -363,8 +363,9 @@ fn frames_err_independently() {
     }
 }
 
-/// No sample is worth more than F/(b `p_h`), which in `lamps` is the radiance of the brightest lamp,
-/// 70, by the albedo over b, since every BSDF sample there is worth its radiance times the albedo.
+/// No sample is worth more than F/(b `p_h`), which in `lamps` is the radiance of the brightest
+/// lamp, 70, by the albedo over b, since every BSDF sample there is worth its radiance times the
+/// albedo.
 #[test]
 fn samples_are_bounded_by_the_defensive_share() {
     let scene = scene("lamps.pbrt");
