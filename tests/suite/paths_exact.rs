@@ -421,11 +421,11 @@ fn case(sample: &PathSample) -> usize {
     }
 }
 
-/// Ten million shifts of each case by each predicate and back: the table in `docs/restir_pt.md`. A
-/// shift that is lost where a distance or a roughness lies at a threshold, so that it comes back by
-/// thresholds a thousandth higher or lower, is a flip of rounding and counted apart.
+/// Ten million shifts of each case by each predicate come back. A shift that is lost where a
+/// distance or a roughness lies at a threshold, so that it comes back by thresholds a thousandth
+/// higher or lower, is a flip of rounding and counted apart.
 #[test]
-#[ignore = "takes minutes; its table stands in docs/restir_pt.md"]
+#[ignore = "takes long; docs/restir_pt.md says what is known"]
 fn long_round_trips() {
     const TRIPS: u64 = 10_000_000;
     for predicate in [Predicate::Distance, Predicate::Footprint] {
