@@ -100,7 +100,7 @@ counters! {
     failed_not_finite,
     /// Directions that lobes drew.
     lobe_draws,
-    /// Of these, directions that found light.
+    /// Directions that lobes drew and that found light.
     lobe_hits,
     /// Moves of lobes' chains to another sample.
     chain_moves,

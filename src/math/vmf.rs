@@ -55,7 +55,7 @@ pub fn vmf_pdf_chord(kappa: f32, chord_squared: f32) -> f32 {
     vmf_pdf_below_peak(peak(kappa), kappa, chord_squared)
 }
 
-/// As [`vmf_pdf_chord`], with V at the peak known.
+/// Returns what [`vmf_pdf_chord`] does, with V at the peak known.
 #[inline]
 pub(crate) fn vmf_pdf_below_peak(peak: f32, kappa: f32, chord_squared: f32) -> f32 {
     peak * exp(-0.5 * kappa * chord_squared)

@@ -37,12 +37,13 @@ pub fn covariance_r8(
     Ok(each.into_iter().collect::<Moments>().estimate())
 }
 
-/// What each restart adds to [`covariance_r8`], which is their mean: for differences between
-/// techniques that were restarted with the same seeds, whose noise is largely the same.
+/// Returns what each restart adds to [`covariance_r8`], which is their mean. Differences between
+/// techniques that were restarted with the same seeds, whose noise is largely the same, are taken
+/// restart by restart.
 ///
 /// # Errors
 ///
-/// As [`covariance_r8`].
+/// It fails where [`covariance_r8`] does.
 pub fn covariance_r8_by_restart(
     restarts: &[Picture],
     reference: &Picture,

@@ -310,8 +310,9 @@ pub fn walk<const LIGHTS: u8, const DIRECT: bool, F: HitFilter>(
     walk_from::<LIGHTS, DIRECT, F>(steps, (seed, 0), primary, limits, visitor, counters);
 }
 
-/// As [`walk`] from vertex number `first` on, which a ray along the unit direction `at.0` met at
-/// the hit `at.1`; throughput begins with 1 there. What the hit itself emits is not asked.
+/// Does what [`walk`] does from vertex number `first` on, which a ray along the unit direction
+/// `at.0` met at the hit `at.1`; throughput begins with 1 there. What the hit itself emits is not
+/// asked.
 #[inline(always)]
 pub fn walk_from<const LIGHTS: u8, const DIRECT: bool, F: HitFilter>(
     steps: &Steps<'_, LIGHTS, F>,

@@ -17,8 +17,8 @@ pub struct LobeChain<D>(pub D);
 impl<D: FnMut() -> Option<LobeState>> Mutator for LobeChain<D> {
     type State = LobeState;
 
-    /// What the technique draws, as the lobe that it makes; `None` where it found nothing. A state
-    /// without a score is left at once.
+    /// Proposes the lobe that the technique's draw makes; `None` where the draw found nothing. A
+    /// state without a score is left at once.
     #[inline]
     fn propose(
         &mut self,

@@ -17,7 +17,7 @@ pub struct LightsAt<'a> {
 /// T(ȳ) = ȳ + (the light's centre there − here): the target moves with its light, by a translation,
 /// so |∂T| = 1. Undefined where the light is not there. A sky's direction stays.
 ///
-/// What T keeps of a lobe is all else, which is its stratum.
+/// T keeps all else of a lobe, which is its stratum.
 #[derive(Clone, Copy, Debug)]
 pub struct LobeFollow<'a> {
     /// Where lights of the other frame are; `None`: at the same place in the table.

@@ -116,7 +116,7 @@ impl Group {
         let before = prior.spread.map_or_else(|| (born * BORN_OF).exp(), Lanes::splat);
         let squared = count * count;
         let d = (before * prior.count + squared * spread) / (squared + prior.count);
-        // As `approximate_vmf_kappa`, cut off at the largest.
+        // This is `approximate_vmf_kappa`, cut off at the largest.
         let r = Lanes::splat(1.0) - d;
         let kappa = r * (Lanes::splat(3.0) - r * r) / (d * (Lanes::splat(2.0) - d));
         let most = Lanes::splat(Shape::MOST_KAPPA);

@@ -130,8 +130,8 @@ pub struct SetSample {
     pub density: f32,
 }
 
-/// What decides whether the mean over sets of techniques is right (see the module's head); found
-/// from parameters and scene.
+/// These facts decide whether the mean over sets of techniques is right (see the module's head);
+/// they are found from parameters and scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[expect(
     clippy::struct_excessive_bools,

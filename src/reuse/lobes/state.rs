@@ -187,6 +187,7 @@ impl LobeState {
         let left = 1.0 - step;
         let e = left * self.spread;
         let q = left * (1.0 - self.spread) * step * direction.distance_squared(mean);
+        // Rounding may lead beyond 0 and 1.
         let length = ((1.0 - e) * (1.0 - e) - q).max(0.0).sqrt();
         self.spread = ((e * (2.0 - e) + q) / (1.0 + length)).clamp(0.0, 1.0);
         self

@@ -55,7 +55,7 @@ impl Lobes {
     }
 }
 
-/// What becomes of states in a step.
+/// The ways in which states may move in a step.
 #[derive(Clone, Copy, PartialEq)]
 enum Moves {
     /// Each lane takes that of the lane before.
@@ -178,8 +178,7 @@ fn the_lobe_that_draws_is_chosen_uniformly() {
     let (same, other) = ([[3, 1], [3, 1]], [[1, 0], [0, 1]]);
     assert_eq!([ssmis(&same, 3, true), ssmis(&same, 3, false)], [ratio(4, 1), ratio(4, 1)]);
     assert_eq!(ssmis(&other, 3, true), ratio(1, 1));
-    let biased = ssmis(&other, 3, false);
-    assert!(biased.to_f64() > 1.05, "{biased}");
+    assert_eq!(ssmis(&other, 3, false), ratio(1309, 1040));
 }
 
 /// A lane of one technique at frame t: numbers of eight levels, of which the lobe (6, 2)/8 takes
@@ -244,7 +243,7 @@ fn chains_keep_the_integrand_of_a_technique_that_stands_still() {
         }
     }
     assert!((after[0] - 2.6).abs() < 1e-6 && (after[1] - 1.4).abs() < 1e-6, "{after:?}");
-    // What has no score is left at once; what found nothing is no proposal.
+    // A state without a score is left at once, and a draw that found nothing proposes nothing.
     let random = &mut crate::math::rng::Stream::from_key(1);
     let proposal = LobeChain(|| Some(state(0, 0.1))).propose(&LobeState::NONE, random);
     assert_eq!(proposal.map(|proposal| proposal.acceptance), Some(1.0));

@@ -29,7 +29,7 @@ struct Beyond<const DELTAS: bool> {
     stretch: Option<f32>,
 }
 
-/// What a direction found behind the first hit.
+/// Light that a direction found behind the first hit.
 #[derive(Clone, Copy)]
 pub(super) struct Met {
     /// Radiance.

@@ -2,7 +2,7 @@
 
 use super::beyond::{DeltaFirst, WithoutCaustics};
 use super::lanes::{Chains, estimator};
-use super::{Mcmm, McmmPaths, SetEstimator, kernel};
+use super::{Mcmm, McmmPaths, Planted, SetEstimator, kernel};
 use crate::accel::HitFilter;
 use crate::counters::Counters;
 use crate::pass::{Band, FrameInputs};
@@ -36,6 +36,9 @@ impl WithFilter for Call<'_, '_, '_> {
         let roulette_after = technique.roulette_after;
         match kernel {
             kernel::PATHS => match technique.paths {
+                _ if technique.planted(Planted::Twice) => {
+                    other_light::add::<false, Sum, F>(inputs, &filter, roulette_after, band)
+                }
                 McmmPaths::Direct => {
                     other_light::add::<false, Sum, F>(inputs, &filter, roulette_after, band)
                 }

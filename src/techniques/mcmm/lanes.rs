@@ -25,6 +25,10 @@ use crate::reuse::lobes::{
     Permutation, Prior, Reads, SetSample, Shape, Shares, StochasticMis, Weights,
 };
 
+/// Ω/4π of what lobes of `paths=all` aim at where no emitter says it: a wide lobe, which a few
+/// samples narrow to the part of the surface that is bright.
+const LIT_SURFACE: f32 = 0.1;
+
 /// What samples are weighed by, as a parameter of types.
 pub(super) mod estimator {
     pub(in super::super) const SSMIS: u8 = 0;
@@ -401,7 +405,7 @@ impl<'a, F: HitFilter> Chains<'a, F> {
             McmmPaths::Caustics => beyond::<true, F>(&self.steps, seed, met, self.limits, counters),
             McmmPaths::All => beyond::<false, F>(&self.steps, seed, met, self.limits, counters),
         };
-        let (emission, sampled, solid_angle) = end.map_or((Vec3::ZERO, 0.0, 0.1), |end| {
+        let (emission, sampled, solid_angle) = end.map_or((Vec3::ZERO, 0.0, LIT_SURFACE), |end| {
             let alone = end.density / world.lights.choice_probability(light);
             (end.emission, end.density, share_of_sphere(alone))
         });
@@ -652,6 +656,7 @@ fn keep_behind_the_dead(
 #[inline]
 fn share_of_sphere(density: f32) -> f32 {
     let share = 1.0 / (2.0 * std::f32::consts::TAU * density);
-    // The least that a state holds; also for what has no density, which no light sample finds.
+    // A state holds 2⁻³² and more. What light sampling does not find has no density: its share is
+    // no number, or infinite.
     if share <= 1.0 { share.max(1e-9) } else { 1.0 }
 }

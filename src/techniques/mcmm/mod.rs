@@ -129,6 +129,8 @@ enum Planted {
     OtherReceiver,
     /// The chain keeps a lobe before it has learnt.
     StashFirst,
+    /// The path tracer adds the caustics that lobes have found.
+    Twice,
 }
 
 impl Default for Mcmm {

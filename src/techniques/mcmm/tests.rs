@@ -12,9 +12,10 @@ use crate::math::luminance;
 use crate::picture::Picture;
 use crate::plan::{Filter, Shot};
 use crate::scene::{
-    Camera, Color, Geometry, Material, Mesh, Scene, Shape, Texture, TextureKind, Transform, load,
+    Camera, Color, Geometry, Light, LightKind, Material, Mesh, Scene, Shape, Texture, TextureKind,
+    Transform, load,
 };
-use crate::stats::Moments;
+use crate::stats::{Estimate, Margin, Moments, Verdict, equivalence, welch};
 use crate::techniques::parse;
 
 fn scene(name: &str) -> Scene {
@@ -52,25 +53,58 @@ fn mean_of(picture: &Picture) -> f64 {
     sum / picture.pixels.len() as f64
 }
 
-/// Relative bias of the whole picture's mean and its standard error: frames err independently.
-fn bias(technique: Mcmm, scene: &Scene, effort: u32, count: u32) -> (f64, f64) {
-    bias_at(2, technique, scene, effort, count)
+const SIZE: [u32; 2] = [32, 32];
+
+/// What `nee` shows of a scene: the means of `count` frames of 16 paths a pixel.
+struct Truth {
+    scene: Scene,
+    depth: u32,
+    means: Moments,
 }
 
-/// The same of paths of `depth` segments.
-fn bias_at(depth: u32, technique: Mcmm, scene: &Scene, effort: u32, count: u32) -> (f64, f64) {
-    let size = [32, 32];
-    let shot = |size, effort| Shot { depth, ..shot(size, effort) };
-    let mut truth = Moments::default();
-    let nee = *Box::new(crate::techniques::PathTracer {
-        lights: crate::techniques::LightSampling::All,
-        ..Default::default()
-    });
-    frames(nee, scene, Shot { run: 77, ..shot(size, 16) }, (0, 60), |p| truth.push(mean_of(p)));
-    let mut shown = Moments::default();
-    frames(technique, scene, shot(size, effort), (20, count), |p| shown.push(mean_of(p)));
-    let relative = |m: &Moments| (m.variance() / m.count() as f64).sqrt() / truth.mean();
-    (shown.mean() / truth.mean() - 1.0, relative(&shown).hypot(relative(&truth)))
+impl Truth {
+    fn new(scene: Scene, depth: u32, count: u32) -> Self {
+        let lights = crate::techniques::LightSampling::All;
+        let nee = crate::techniques::PathTracer { lights, ..Default::default() };
+        let shot = Shot { run: 77, depth, ..shot(SIZE, 16) };
+        let mut means = Moments::default();
+        frames(nee, &scene, shot, (0, count), |picture| means.push(mean_of(picture)));
+        Self { scene, depth, means }
+    }
+
+    /// The means of `count` frames of a technique, after twenty; they err independently.
+    fn shown(&self, technique: Mcmm, effort: u32, count: u32) -> Moments {
+        let shot = Shot { depth: self.depth, ..shot(SIZE, effort) };
+        let mut means = Moments::default();
+        frames(technique, &self.scene, shot, (20, count), |p| means.push(mean_of(p)));
+        means
+    }
+
+    /// Relative bias of a technique's mean and its standard error.
+    fn bias(&self, technique: Mcmm, effort: u32, count: u32) -> (f64, f64) {
+        let shown = self.shown(technique, effort, count);
+        let relative = |m: &Moments| m.standard_error() / self.means.mean();
+        let error = relative(&shown).hypot(relative(&self.means));
+        (shown.mean() / self.means.mean() - 1.0, error)
+    }
+
+    /// Asserts that a technique's mean is that of `nee` to 1 % (TOST, α = 10⁻³), so that a code
+    /// that is 1 % wrong passes once in a thousand; against a truth of 2 % more it must not pass.
+    fn assert_equal(&self, spec: &str, effort: u32, count: u32) {
+        let shown = self.shown(with(spec, Planted::Nothing), effort, count).estimate();
+        let truth = self.means.estimate();
+        let delta = 0.01 * truth.mean;
+        let margin = Margin { delta, equivalence_alpha: 1e-3, difference_alpha: 1e-6 };
+        let result = equivalence(&welch(&shown, &truth), &margin);
+        let name = &self.scene.name;
+        let [bias, error] =
+            [result.test.difference, result.test.standard_error].map(|x| 100.0 * x / truth.mean);
+        println!("{spec} on {name}: {bias:+.2} ± {error:.2} %");
+        assert_eq!(result.verdict, Verdict::Pass, "{spec} on {name}: {result:?}");
+        let brighter = Estimate { mean: 1.02 * truth.mean, ..truth };
+        let control = equivalence(&welch(&shown, &brighter), &margin);
+        assert_ne!(control.verdict, Verdict::Pass, "{spec} on {name}: the control must not pass");
+    }
 }
 
 fn with(spec: &str, planted: Planted) -> Mcmm {
@@ -135,36 +169,40 @@ fn holes() -> Scene {
     scene
 }
 
-/// The three estimators are right in the mean, and each fault beside them is wrong by its sign.
+/// Each fault is wrong by its sign, and what stands beside it is not: five standard errors are 2 to
+/// 5 %, so faults of less are looked for in `estimators_are_unbiased`.
 #[test]
 fn faults_show_in_the_mean() {
-    use Planted::{DeadKeep, Multiplicity, NoShift, NoTurn, Nothing, OtherReceiver};
-    let (lamps, ridges, holes) = (scene("lamps.pbrt"), ridges(), holes());
+    use Planted::{DeadKeep, Multiplicity, NoShift, NoTurn, Nothing, OtherReceiver, Twice};
+    let lamps = Truth::new(scene("lamps.pbrt"), 2, 60);
+    let (ridges, holes) = (Truth::new(ridges(), 2, 60), Truth::new(holes(), 2, 60));
+    let pane = Truth::new(pane(), 4, 60);
     let tsmis = "mcmm:preset=paper,estimator=tsmis,set=8";
     let often = "mcmm:preset=falcor";
     let ssmis = "mcmm:preset=paper";
-    let cases: [(&str, &Scene, u32, u32, Planted, f64); 12] = [
+    let caustics = "mcmm:paths=caustics";
+    let cases: [(&str, &Truth, u32, u32, Planted, f64); 13] = [
         (tsmis, &lamps, 1, 200, Nothing, 0.0),
         (often, &lamps, 1, 200, Nothing, 0.0),
         (ssmis, &lamps, 8, 200, Nothing, 0.0),
-        ("mcmm:preset=paper,estimator=mixture", &lamps, 8, 200, Nothing, 0.0),
         (often, &holes, 1, 400, Nothing, 0.0),
         (ssmis, &ridges, 8, 200, Nothing, 0.0),
+        (caustics, &pane, 4, 100, Nothing, 0.0),
         (tsmis, &lamps, 1, 200, NoShift, -1.0),
         (often, &lamps, 1, 200, NoShift, -1.0),
         (often, &holes, 1, 400, DeadKeep, -1.0),
         (tsmis, &lamps, 1, 200, Multiplicity, -1.0),
         (ssmis, &lamps, 8, 100, OtherReceiver, 1.0),
         (ssmis, &ridges, 8, 200, NoTurn, 1.0),
+        (caustics, &pane, 4, 100, Twice, 1.0),
     ];
-    for (spec, scene, effort, count, planted, sign) in cases {
-        let (bias, error) = bias(with(spec, planted), scene, effort, count);
-        let z = bias / error;
+    for (spec, truth, effort, count, planted, sign) in cases {
+        let (bias, error) = truth.bias(with(spec, planted), effort, count);
+        let (z, name) = (bias / error, &truth.scene.name);
+        let percent = [bias, error].map(|x| 100.0 * x);
         println!(
-            "{spec} on {}, {planted:?}: {:+.2} ± {:.2} %, z {z:+.1}",
-            scene.name,
-            100.0 * bias,
-            100.0 * error
+            "{spec} on {name}, {planted:?}: {:+.2} ± {:.2} %, z {z:+.1}",
+            percent[0], percent[1]
         );
         if sign == 0.0 {
             assert!(z.abs() < 4.0, "{spec}: {bias} ± {error}");
@@ -174,47 +212,62 @@ fn faults_show_in_the_mean() {
     }
 }
 
-/// What lobes guide and what is left to the path tracer are all light, each part once: behind glass
-/// and mirrors, of a sky, of a point light.
-#[test]
-fn paths_add_up() {
-    let glass = scene("glass.pbrt");
-    let mut open = scene("lamps.pbrt");
-    let kind = |radiance| crate::scene::LightKind::Environment { radiance, image: None };
-    let to_world = Transform::IDENTITY;
-    open.lights.push(crate::scene::Light {
-        kind: kind(Vec3::new(0.3, 0.4, 0.6)),
-        key: 91,
-        to_world,
-    });
-    let intensity = Vec3::splat(2.0);
+/// A floor under a pane of glass and a wide lamp above it: all direct light is bent, so light
+/// sampling finds none, and BSDF sampling much.
+fn pane() -> Scene {
+    let mut scene = Scene::new("pane");
+    let grey = Color::Constant(Vec3::splat(0.5));
+    let matt = scene.add_material(Material::Diffuse { reflectance: grey });
+    let glass = scene.add_material(Material::ThinDielectric { eta: 1.5 });
+    let disk = |height: f32, normal: Vec3, radius: f32| Geometry::Disk {
+        center: Vec3::Y * height,
+        normal,
+        radius,
+    };
+    scene.add_shape(Shape::new(disk(0.0, Vec3::Y, 4.0), matt));
+    scene.add_shape(Shape::new(disk(1.0, Vec3::Y, 5.0), glass));
+    let lamp = Shape::new(disk(1.5, Vec3::NEG_Y, 2.0), matt).emitting(Vec3::splat(5.0));
+    scene.add_shape(lamp);
+    let ball = Geometry::Sphere { center: Vec3::new(0.4, 0.2, 0.1), radius: 0.2 };
+    scene.add_shape(Shape::new(ball, matt));
+    scene.camera = Camera {
+        to_world: Transform::Fixed(glam::Affine3A::from_mat3_translation(
+            glam::Mat3::from_cols(Vec3::X, Vec3::Z, Vec3::NEG_Y),
+            Vec3::Y * 0.9,
+        )),
+        fov: 1.4,
+    };
+    scene
+}
+
+/// `lamps` with a sky and a point light.
+fn open_lamps() -> Scene {
+    let mut scene = scene("lamps.pbrt");
     let place = glam::Affine3A::from_translation(Vec3::new(0.3, 1.0, 0.2));
-    open.lights.push(crate::scene::Light {
-        kind: crate::scene::LightKind::Point { intensity },
-        key: 92,
-        to_world: Transform::Fixed(place),
-    });
-    for (spec, scene, depth) in [
-        ("mcmm", &glass, 5),
-        ("mcmm:paths=caustics", &glass, 5),
-        ("mcmm:paths=all", &glass, 5),
-        ("mcmm:paths=caustics,light=0,estimator=mixture", &glass, 4),
-        ("mcmm", &open, 3),
-        ("mcmm:paths=all", &open, 3),
-        ("mcmm:paths=all,estimator=tsmis,set=8", &open, 3),
-        ("mcmm:paths=caustics,estimator=mixture", &open, 3),
+    let radiance = Vec3::new(0.3, 0.4, 0.6);
+    for (key, kind, to_world) in [
+        (91, LightKind::Environment { radiance, image: None }, Transform::IDENTITY),
+        (92, LightKind::Point { intensity: Vec3::splat(2.0) }, Transform::Fixed(place)),
     ] {
-        let effort = if spec.contains("tsmis") { 1 } else { 4 };
-        let (bias, error) = bias_at(depth, with(spec, Planted::Nothing), scene, effort, 150);
-        let z = bias / error;
-        println!(
-            "{spec} on {}: {:+.2} ± {:.2} %, z {z:+.1}",
-            scene.name,
-            100.0 * bias,
-            100.0 * error
-        );
-        assert!(z.abs() < 4.0 && error < 0.015, "{spec}: {bias} ± {error}");
+        scene.lights.push(Light { kind, key, to_world });
     }
+    scene
+}
+
+/// The three estimators, and what lobes guide with what is left to the path tracer, are all light,
+/// each part once: small lamps, a sky, a point light, light through glass.
+#[test]
+fn estimators_are_unbiased() {
+    let lamps = Truth::new(scene("lamps.pbrt"), 2, 120);
+    lamps.assert_equal("mcmm:light=0.5", 4, 1200);
+    lamps.assert_equal("mcmm:light=0.5,estimator=tsmis,set=8", 1, 600);
+    lamps.assert_equal("mcmm:light=0.5,estimator=mixture", 4, 1200);
+    let open = Truth::new(open_lamps(), 3, 200);
+    open.assert_equal("mcmm:light=0.5,paths=all", 4, 1200);
+    let pane = Truth::new(pane(), 4, 200);
+    pane.assert_equal("mcmm:paths=caustics,light=0.1", 4, 600);
+    pane.assert_equal("mcmm:paths=all,light=0.1", 4, 600);
+    pane.assert_equal("mcmm:paths=caustics,estimator=mixture,light=0.1", 4, 600);
 }
 
 /// The closed form in the head of `lamps`, where nothing hides a lamp: the floor before z = −1.2.
